@@ -258,6 +258,43 @@ def test_what_the_agent_refuses_or_doubts_is_told_while_it_is_recorded(written: 
     assert list(written.growth.refused()) == [found]
 
 
+def test_what_the_agent_refuses_of_a_stream_is_told_while_it_is_recorded(written: Written) -> None:
+    before, lasting, new = "3 samples were refused: before", "it stands still", "1 sample came late"
+    written.write(xdf(own_header(1, STRAPS[0], "acc"), own_header(8, AGENT, "counters")))
+    source = source_id(STRAPS[0], "acc")
+
+    def tell(second: int, *refused: str) -> list[str]:
+        count = Counters(pushed=50 * second, last_stamp=1000.0 + second)
+        text = counters_text({source: count}, refused={source: refused})
+        written.write(samples(8, "string", [[text]], [1000.0 + second]))
+        found = list(written.growth.refused())
+        assert {(e.level, e.stream) for e in found} <= {(Level.WARNING, "P01-polar_h10-A1-acc")}
+        return [each.text for each in found]
+
+    assert tell(1, before) == []
+    assert tell(2, before, lasting) == [lasting]
+    assert tell(3, before, lasting, new) == [lasting, new]
+    # Of each kind the newest; what is over stays, for the analysis has to know it.
+    assert tell(4, new.replace("1", "2")) == [lasting, new.replace("1", "2")]
+    assert [before in tell(second, before) for second in range(5, 14)] == [False] * 7 + [True] * 2
+
+
+def test_losses_that_leave_no_gap_are_told_while_it_is_recorded(written: Written) -> None:
+    written.write(xdf(own_header(1, STRAPS[0], "ibi"), own_header(8, AGENT, "counters")))
+    told: list[list[str]] = []
+    # The third is of an agent that was restarted.
+    for second, lost in enumerate([7, 9, 0, 1], 1):
+        count = Counters(pushed=second, lost=lost, last_stamp=1000.0 + second)
+        text = counters_text({source_id(STRAPS[0], "ibi"): count})
+        written.write(samples(8, "string", [[text]], [1000.0 + second]))
+        told.append([each.text for each in written.growth.lost()])
+    two, three = (
+        [f"the agent has counted {count} samples as lost on the way from the device"]
+        for count in (2, 3)
+    )
+    assert told == [[], two, two, three]
+
+
 def test_a_sensor_that_a_restarted_agent_has_no_longer_is_red(written: Written) -> None:
     written.write(_recording(_told(_beat(1000.5)), _acc(1, (1000, 1005)), _acc(2, (1000, 1005))))
     assert list(written.growth.gone()) == []

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
+from biosensor_common.refusal import LATELY_S
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import clock_time, names
 from biosensor_gateway.agent.selection import described
@@ -23,6 +24,8 @@ from biosensor_gateway.recording.xdf.counters import (
     NEAR_S,
     STRANGE_READINGS,
     STRANGE_SAMPLES,
+    Reading,
+    newest_of_each_kind,
     parse_readings,
 )
 from biosensor_gateway.recording.xdf.event_rules import (
@@ -271,6 +274,41 @@ class Counted:
         return off_s, has_come
 
 
+class _Losses:
+    """Remembers what the agent's counters tell of data that was lost or not passed on unchanged.
+
+    As in `biosensor_gateway.recording.xdf.counters.refusals`, what the first reading tells is about
+    the time before the recording, unless it lasts.
+
+    Attributes
+    ----------
+    refused
+        The newest sentence of each kind.
+    lost
+        Samples lost since the first reading.
+    """
+
+    def __init__(self) -> None:
+        self.refused: list[str] = []
+        self.lost = 0
+        self._first: Reading | None = None
+        self._count_before = self._readings = 0
+
+    def told(self, reading: Reading) -> None:
+        """Take the next reading, of which there is one a second."""
+        if self._first is None:
+            self._first = reading
+            self._count_before = reading.lost
+        # An agent that was restarted counts from 0 again.
+        self.lost += max(0, reading.lost - self._count_before)
+        self._count_before = reading.lost
+        self._readings += 1
+        lasts = self._readings > LATELY_S + 1
+        new = [each for each in reading.refused if lasts or each not in self._first.refused]
+        if new:
+            self.refused = newest_of_each_kind([*self.refused, *new])
+
+
 class _StreamReader:
     """Processes the chunks of one stream; times are on the recorder's clock, in s.
 
@@ -292,6 +330,7 @@ class _StreamReader:
         self.gaps = Gaps()
         self.log = EventLog() if header.is_events else None
         self.counted = Counted()
+        self.losses = _Losses()
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
@@ -466,14 +505,27 @@ class Growth:
         yield from self.gaps()
         yield from self.was_away()
         yield from self.refused()
+        yield from self.lost()
+
+    def lost(self) -> Iterator[Finding]:
+        """Yield what agents counted as lost of streams in which that leaves no gap."""
+        for each in self._streams.values():
+            lost = each.losses.lost
+            if lost and not each.gaps.count:
+                samples = "1 sample" if lost == 1 else f"{lost} samples"
+                text = f"the agent has counted {samples} as lost on the way from the device"
+                yield Finding(Level.WARNING, "lost", each.header.title, text)
 
     def refused(self) -> Iterator[Finding]:
-        """Yield what agents refused, left out or doubted of recorded devices."""
+        """Yield what agents refused, left out or doubted of recorded devices and streams."""
         for log in (each.log for each in self._streams.values() if each.log):
             for device, sentences in log.refused.items():
                 about = f"{device}: " if device else ""
                 for each in sentences:
                     yield Finding(Level.WARNING, "refused", "", about + each)
+        for stream in self._streams.values():
+            for each in stream.losses.refused:
+                yield Finding(Level.WARNING, "refused", stream.header.title, each)
 
     def gone(self) -> Iterator[Finding]:
         """Yield which devices their agent has no longer, as after a restart with other settings."""
@@ -577,11 +629,13 @@ class Growth:
             self._take_offset(stream, content)
 
     def _take_counters(self, texts: Sequence[str]) -> None:
-        by_source = {each.header.source_id: each.counted for each in self._streams.values()}
+        by_source = {each.header.source_id: each for each in self._streams.values()}
         for source_id, readings in parse_readings(texts)[0].items():
             for each in readings if source_id in by_source else ():
+                stream = by_source[source_id]
+                stream.losses.told(each)
                 if each.pushed:
-                    by_source[source_id].told(each.last_stamp)
+                    stream.counted.told(each.last_stamp)
 
     def _take_offset(self, stream: _StreamReader, content: memoryview) -> None:
         before = stream.reached
