@@ -47,13 +47,14 @@ def read_status(folder: Path) -> dict[str, Any]:
         status: dict[str, Any] = json.loads(state_file.read(path))
         age = time.time() - float(status["written"])
         status["devices"] = list(status["devices"])
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         if _is_held(folder):
             raise _unwritten(folder, "has written no status yet") from error
         message = "no agent is running; start one with: biosensor-gateway run"
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        message = f"{path}: the status file cannot be read ({error}); restart the agent"
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged"
+        message = f"{path}: the status file cannot be read ({why}); restart the agent"
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     if age > STALE_AFTER_S:
         if _is_held(folder):
