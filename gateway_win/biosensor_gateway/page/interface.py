@@ -128,7 +128,8 @@ class Features:
         if agent == own:
             doubled = self._doubled(raw)
             features = [each for each in found if each.derived_from not in doubled]
-            untold = dict(doubled.values())
+            hidden = {each.derived_from for each in found} & doubled.keys()
+            untold = dict(doubled[each] for each in hidden)
         elif agent:
             untold[_OF_ALL] = (
                 f"they are not shown: the agent now sends in the LSL session {agent}, and this "

@@ -518,11 +518,16 @@ class Growth:
 
     def refused(self) -> Iterator[Finding]:
         """Yield what agents refused, left out or doubted of recorded devices and streams."""
-        for log in (each.log for each in self._streams.values() if each.log):
-            for device, sentences in log.refused.items():
-                about = f"{device}: " if device else ""
-                for each in sentences:
-                    yield Finding(Level.WARNING, "refused", "", about + each)
+        # Two agents of one name say the same of one device.
+        of_devices = dict.fromkeys(
+            (device, each)
+            for log in (each.log for each in self._streams.values() if each.log)
+            for device, sentences in log.refused.items()
+            for each in sentences
+        )
+        for device, each in of_devices:
+            about = f"{device}: " if device else ""
+            yield Finding(Level.WARNING, "refused", "", about + each)
         for stream in self._streams.values():
             for each in stream.losses.refused:
                 yield Finding(Level.WARNING, "refused", stream.header.title, each)
