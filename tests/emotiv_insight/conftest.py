@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import ssl
-import time
 import uuid
 from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
@@ -28,7 +27,6 @@ from biosensor_gateway.devices.emotiv_insight.driver import (
 )
 from tests.rigs.driver_run import NotedSink, Run, supervised
 
-DEADLINE_S = 30.0
 HEADSET_ID = "INSIGHT-12341234"
 TOKEN, NEW_TOKEN = "planted.token.one", "planted.token.two"
 CLIENT_ID, CLIENT_SECRET = "planted-client-id", "planted-client-secret"
@@ -217,17 +215,6 @@ class InsightRun(Run):
         named = {"sensor": "emotiv_insight", "unit": sink.identity.unit}
         self.settings = EmotivInsightSettings.model_validate({**named, **settings})
         self._begin(sink, DRIVER.make(self.settings, sink))
-
-
-@pytest.fixture(scope="session")
-def eventually() -> Callable[[Callable[[], bool]], Awaitable[None]]:
-    async def wait(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, "it did not happen"
-            await asyncio.sleep(0.01)
-
-    return wait
 
 
 @pytest.fixture(scope="session")

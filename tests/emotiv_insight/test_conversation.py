@@ -6,7 +6,6 @@ import asyncio
 import json
 import math
 import time
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +16,11 @@ from structlog.testing import capture_logs
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.emotiv_insight.driver import account
 from biosensor_gateway.transports import websocket
+from tests.rigs.polling import eventually
 
 if TYPE_CHECKING:
     from tests.emotiv_insight.conftest import Answers, InsightRun, Running, ScriptedCortex
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 
 HEADSET_ID = "INSIGHT-12341234"
 START = ["getCortexInfo", "getUserLogin", "hasAccessRight", "authorize", "queryHeadsets",
@@ -37,9 +36,7 @@ def test_every_scenario_has_its_test() -> None:
     assert scenarios - ELSEWHERE <= tests
 
 
-async def stream_a_second(
-    cortex: ScriptedCortex, run: InsightRun, eventually: Eventually, rows: int = 128
-) -> float:
+async def stream_a_second(cortex: ScriptedCortex, run: InsightRun, rows: int = 128) -> float:
     """Send a second of EEG and wait for it; return when it began, in unix seconds."""
     await eventually(lambda: run.supervisor.is_connected)
     start = time.time() - 1
@@ -58,9 +55,7 @@ def logged(logs: list[Any], words: str) -> list[Any]:
     return [entry for entry in logs if words in entry["event"]]
 
 
-async def test_happy_path(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
-) -> None:
+async def test_happy_path(cortex: ScriptedCortex, answers: Answers, running: Running) -> None:
     cortex.headsets = []
 
     async def found(cortex: ScriptedCortex, *call: Any) -> None:
@@ -94,9 +89,7 @@ async def test_happy_path(
     assert by_method["updateSession"]["session"] == cortex.session
 
 
-async def test_first_use(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
-) -> None:
+async def test_first_use(cortex: ScriptedCortex, answers: Answers, running: Running) -> None:
     refusal = answers.result({"accessGranted": False})
     cortex.on("hasAccessRight", *[refusal] * 3)
     cortex.on("requestAccess", refusal)
@@ -111,7 +104,7 @@ async def test_first_use(
 
 
 async def test_a_rejection_is_told_and_not_asked_for_again_at_once(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, answers: Answers, running: Running
 ) -> None:
     refusal = answers.result({"accessGranted": False})
     cortex.on("hasAccessRight", *[refusal] * 999)
@@ -128,7 +121,6 @@ async def test_no_user(
     cortex: ScriptedCortex,
     answers: Answers,
     running: Running,
-    eventually: Eventually,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Only the warning helps.
@@ -147,7 +139,6 @@ async def test_no_user_for_longer_than_a_connection_waits(
     cortex: ScriptedCortex,
     answers: Answers,
     running: Running,
-    eventually: Eventually,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(account, "PATIENCE_S", 0.2)
@@ -160,7 +151,7 @@ async def test_no_user_for_longer_than_a_connection_waits(
 
 @pytest.mark.parametrize("code", [-32006, -32019, -32002, -32024])
 async def test_eeg_license_missing(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually, code: int
+    cortex: ScriptedCortex, answers: Answers, running: Running, code: int
 ) -> None:
     cortex.on("createSession", answers.error(code))
     cortex.failures = {"eeg": -32016}
@@ -187,9 +178,7 @@ async def test_eeg_license_missing(
     assert [round(float(value), 3) for value in met if not math.isnan(value)] == [0.2, 0.4]
 
 
-async def test_partial_then_full(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
+async def test_partial_then_full(cortex: ScriptedCortex, running: Running) -> None:
     cortex.failures = {"eeg": -32016}
     async with running() as run:
         await eventually(run.is_streaming)
@@ -200,11 +189,11 @@ async def test_partial_then_full(
         assert cortex.count("subscribe") == 1
         await cortex.each_connection(lambda socket: socket.close())
         await eventually(lambda: run.states.count(State.STREAMING) == 2)
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
 
 
 async def test_a_subscription_that_is_refused_as_a_whole_is_tried_without_eeg(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, answers: Answers, running: Running
 ) -> None:
     cortex.on("subscribe", answers.error(-32016))
     async with running() as run:
@@ -218,11 +207,10 @@ async def test_token_expired(
     cortex: ScriptedCortex,
     answers: Answers,
     running: Running,
-    eventually: Eventually,
     code: int,
 ) -> None:
     async with running() as run:
-        start = await stream_a_second(cortex, run, eventually)
+        start = await stream_a_second(cortex, run)
         cortex.on("subscribe", answers.error(code))
         number = 0
         # EEG alone stops, so the driver asks for it again; that needs a token.
@@ -234,7 +222,7 @@ async def test_token_expired(
         # What comes of a stream that stays away is tested elsewhere.
         run.sink.watch.expect({})
         await eventually(run.sink.has(number, "mot"))
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
         assert cortex.opened == run.supervisor.connections == 1
     tokens = [each.params["cortexToken"] for each in cortex.requests if each.method == "subscribe"]
     assert tokens == ["planted.token.one", "planted.token.one", "planted.token.two"]
@@ -242,7 +230,7 @@ async def test_token_expired(
 
 
 async def test_a_token_is_used_again_and_renewed_when_it_is_not_valid_any_more(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, answers: Answers, running: Running
 ) -> None:
     async with running() as run:
         for connection in (1, 2, 3):
@@ -255,42 +243,38 @@ async def test_a_token_is_used_again_and_renewed_when_it_is_not_valid_any_more(
 
 
 @pytest.mark.parametrize("how", ["headset", "subscriptions", "session"])
-async def test_headset_off(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually, how: str
-) -> None:
+async def test_headset_off(cortex: ScriptedCortex, running: Running, how: str) -> None:
     async with running() as run:
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
         session = cortex.session
         await cortex.warn(103, {"headsetId": "INSIGHT-99999999", "behavior": "another one"})
         await cortex.warn(0, {"sessionId": "another-session"})
         await cortex.warn(1, {"sessionId": "another-session"})
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
         assert run.states.count(State.STREAMING) == 1
         message = {"headset": {"headsetId": HEADSET_ID}}.get(how, {"sessionId": session})
         await cortex.warn({"headset": 103, "subscriptions": 0, "session": 1}[how], message)
         await eventually(lambda: run.states.count(State.STREAMING) == 2)
         assert State.DISCOVERING in run.states
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
     assert cortex.session != session
 
 
-async def test_headset_off_virtual(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
+async def test_headset_off_virtual(cortex: ScriptedCortex, running: Running) -> None:
     with capture_logs() as logs:
         async with running() as run:
-            await stream_a_second(cortex, run, eventually)
+            await stream_a_second(cortex, run)
             cortex.headsets = []
             await eventually(lambda: "Cortex has lost the headset" in run.error)
             await eventually(lambda: "controlDevice" in cortex.methods)
             cortex.headsets = [cortex.headset()]
             await eventually(lambda: run.states.count(State.STREAMING) == 2)
-            await stream_a_second(cortex, run, eventually)
+            await stream_a_second(cortex, run)
     (said, *_) = logged(logs, "enabling again")
     assert {"eeg", "mot"} <= set(said["event"].replace(",", "").split())
 
 
-async def test_scan_loop(cortex: ScriptedCortex, running: Running, eventually: Eventually) -> None:
+async def test_scan_loop(cortex: ScriptedCortex, running: Running) -> None:
     cortex.headsets = []
 
     def scans() -> int:
@@ -305,12 +289,12 @@ async def test_scan_loop(cortex: ScriptedCortex, running: Running, eventually: E
         # Connected in the launcher, by hand.
         cortex.headsets = [cortex.headset()]
         await eventually(run.is_streaming)
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
     assert scans() == 3
 
 
 async def test_no_scan_disturbs_the_headset_of_somebody_else(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, running: Running
 ) -> None:
     async with running(headset="INSIGHT-99999999") as run:
         await eventually(lambda: "finds no headset INSIGHT-99999999" in run.error)
@@ -334,7 +318,6 @@ EPOC = ("AF3", "F7", "F3", "FC5", "T7", "P7", "O1", "O2", "P8", "T8", "FC6", "F4
 async def test_a_headset_with_other_channels_is_refused_and_draws_no_session(
     cortex: ScriptedCortex,
     running: Running,
-    eventually: Eventually,
     headset_id: str,
     sensors: tuple[str, ...],
     said: str,
@@ -348,17 +331,17 @@ async def test_a_headset_with_other_channels_is_refused_and_draws_no_session(
 
 
 async def test_other_headsets_in_reach_are_no_choice_to_make(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, running: Running
 ) -> None:
     own = cortex.headset() | {"sensors": ["AF3", "AF4", "T7", "T8", "Pz"]}
     cortex.headsets = [own, {"id": "MN8-12341234", "status": "discovered", "sensors": []}]
     async with running(headset="") as run:
         await eventually(run.is_streaming)
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
 
 
 async def test_data_before_subscribe_reply(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, answers: Answers, running: Running
 ) -> None:
     async def data_first(cortex: ScriptedCortex, *call: Any) -> None:
         await cortex.say(*(cortex.eeg(number, time.time() - 1) for number in range(20)))
@@ -374,7 +357,6 @@ async def test_data_before_subscribe_reply(
 async def lost_between(
     cortex: ScriptedCortex,
     running: Running,
-    eventually: Eventually,
     counters: tuple[int, int],
     later_samples: int,
 ) -> dict[str, int]:
@@ -390,30 +372,22 @@ async def lost_between(
         return dict(run.sink.losses)
 
 
-async def test_counter_gap(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
-    losses = await lost_between(cortex, running, eventually, (10, 14), 4)
+async def test_counter_gap(cortex: ScriptedCortex, running: Running) -> None:
+    losses = await lost_between(cortex, running, (10, 14), 4)
     assert losses == {"eeg": 3, "eeg_status": 3}
 
 
-async def test_counter_gap_across_wrap(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
-    losses = await lost_between(cortex, running, eventually, (126, 1), 3)
+async def test_counter_gap_across_wrap(cortex: ScriptedCortex, running: Running) -> None:
+    losses = await lost_between(cortex, running, (126, 1), 3)
     assert losses == {"eeg": 2, "eeg_status": 2}
 
 
-async def test_counter_gap_whole_second(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
-    losses = await lost_between(cortex, running, eventually, (10, 11), 129)
+async def test_counter_gap_whole_second(cortex: ScriptedCortex, running: Running) -> None:
+    losses = await lost_between(cortex, running, (10, 11), 129)
     assert losses == {"eeg": 128, "eeg_status": 128}
 
 
-async def test_interpolated_run(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
+async def test_interpolated_run(cortex: ScriptedCortex, running: Running) -> None:
     async with running() as run:
         await eventually(run.is_streaming)
         start = time.time() - 1
@@ -426,11 +400,9 @@ async def test_interpolated_run(
     ]
 
 
-async def test_server_restart(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
-) -> None:
+async def test_server_restart(cortex: ScriptedCortex, answers: Answers, running: Running) -> None:
     async with running() as run:
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
         first = cortex.session
         await cortex.each_connection(lambda socket: socket.transport.abort())
         await cortex.stop()
@@ -440,27 +412,23 @@ async def test_server_restart(
         cortex.on("createSession", answers.error(-32014))
         await cortex.start()
         await cortex.warn(23, "ready")
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
     assert cortex.session != first
     assert cortex.count("authorize") == 2
     assert numbers(run) == [*range(128), *range(128)]
 
 
 @pytest.mark.parametrize("code", [1000, 1001, 1011])
-async def test_server_close_1001(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually, code: int
-) -> None:
+async def test_server_close_1001(cortex: ScriptedCortex, running: Running, code: int) -> None:
     async with running() as run:
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
         await cortex.each_connection(lambda socket: socket.close(code))
         await eventually(lambda: run.states.count(State.STREAMING) == 2)
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
     assert State.BACKOFF not in run.states
 
 
-async def test_tls_wrong_ca(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually, tmp_path: Path
-) -> None:
+async def test_tls_wrong_ca(cortex: ScriptedCortex, running: Running, tmp_path: Path) -> None:
     other = tmp_path / "other.pem"
     trustme.CA().cert_pem.write_to_path(other)
     async with running(ca_file=str(other)) as run:
@@ -475,7 +443,6 @@ async def test_second_client(
     cortex: ScriptedCortex,
     answers: Answers,
     running: Running,
-    eventually: Eventually,
     known: str,
 ) -> None:
     # Another application's session is no concern; an own one that is left over is used.
@@ -486,7 +453,7 @@ async def test_second_client(
     cortex.on("querySessions", answers.result([foreign, session]))
     cortex.on("updateSession", answers.result({**session, "status": "activated"}))
     async with running() as run:
-        await stream_a_second(cortex, run, eventually)
+        await stream_a_second(cortex, run)
         updates = [each.params["status"] for each in cortex.requests
                    if each.method == "updateSession"]  # fmt: skip
     assert updates == ([] if known == "activated" else ["active"])
@@ -497,7 +464,6 @@ async def test_second_client(
 async def test_half_open(
     cortex: ScriptedCortex,
     running: Running,
-    eventually: Eventually,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(websocket, "PING_INTERVAL_S", 0.1)
@@ -511,9 +477,7 @@ async def test_half_open(
         await eventually(lambda: run.supervisor.connections > before)
 
 
-async def test_unknown_warning_flood(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
-) -> None:
+async def test_unknown_warning_flood(cortex: ScriptedCortex, running: Running) -> None:
     with capture_logs() as logs:
         async with running() as run:
             await eventually(run.is_streaming)
@@ -521,7 +485,7 @@ async def test_unknown_warning_flood(
             run.sink.watch.expect({})
             for code in range(1000, 2000):
                 await cortex.warn(code, "future")
-            await stream_a_second(cortex, run, eventually)
+            await stream_a_second(cortex, run)
     assert 0 < len(logged(logs, "Cortex tells")) < 20
     assert numbers(run) == list(range(128))
     assert run.states.count(State.STREAMING) == 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import random
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,13 +31,13 @@ from biosensor_gateway.simulation.world import World
 from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs.driver_run import supervised
 from tests.rigs.emitter_sink import EmitterSink
+from tests.rigs.polling import eventually
 
 if TYPE_CHECKING:
     from tests.emotiv_insight.conftest import InsightRun
 
 # The driver against the virtual Cortex, under its supervisor.
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 Kept = Callable[..., contextlib.AbstractAsyncContextManager["InsightRun"]]
 QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
 
@@ -71,9 +71,7 @@ def assert_true(run: InsightRun, cortex: SteeredCortex, *data_names: str) -> Non
 
 
 @pytest.mark.parametrize(("model", "rate"), [(INSIGHT_2, 32.0), (INSIGHT_1_GYRO, 128.0)])
-async def test_other_insights(
-    world: World, kept: Kept, eventually: Eventually, model: Any, rate: float
-) -> None:
+async def test_other_insights(world: World, kept: Kept, model: Any, rate: float) -> None:
     with SteeredCortex(world, model=model, timing=QUICK, seed=3) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg", "mot"))
@@ -93,7 +91,7 @@ async def test_other_insights(
     [("2.2.0", None), ("2.7.0", None), *(("3.8.1", metrics) for metrics in Metrics)],
 )
 async def test_other_versions(
-    world: World, kept: Kept, eventually: Eventually, version: str, metrics: Metrics | None
+    world: World, kept: Kept, version: str, metrics: Metrics | None
 ) -> None:
     with SteeredCortex(
         world, Circumstances(release=Release(version, metrics)), timing=QUICK, seed=4
@@ -115,7 +113,7 @@ def _empty(run: InsightRun, data_name: str) -> list[str]:
 
 @pytest.mark.parametrize("seconds", [-3.0, 3.0, 3600.0, -3600.0])
 async def test_a_clock_that_is_set_loses_and_invents_nothing(
-    world: World, kept: Kept, eventually: Eventually, seconds: float
+    world: World, kept: Kept, seconds: float
 ) -> None:
     with SteeredCortex(world, timing=QUICK, seed=7) as cortex:
         async with kept(cortex) as run:

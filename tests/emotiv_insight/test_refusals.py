@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Awaitable, Callable, Generator
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING
 
 import keyring
@@ -29,13 +29,13 @@ from biosensor_gateway.devices.emotiv_insight.driver import DRIVER, find
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 from tests.rigs.kept_logging import kept_logging
+from tests.rigs.polling import eventually
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.emotiv_insight.conftest import Answers, InsightRun, Running, ScriptedCortex
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 MakeRun = Callable[..., "InsightRun"]
 
 MISSING, REJECTED = CredentialReason.MISSING, CredentialReason.REJECTED
@@ -97,7 +97,7 @@ async def test_a_token_that_is_refused_again_is_no_loop(
 
 
 async def test_a_headset_that_is_nearly_ready_is_asked_again(
-    cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, answers: Answers, running: Running
 ) -> None:
     cortex.on("createSession", *[answers.error(-32152)] * 3)
     async with running() as run:
@@ -136,7 +136,6 @@ async def test_two_headsets_are_not_chosen_from_by_chance(
     make_run: MakeRun,
     run: InsightRun,
     running: Running,
-    eventually: Eventually,
 ) -> None:
     cortex.headsets = [cortex.headset(), {**cortex.headset(), "id": "INSIGHT2-99999999"}]
     error = await refusal(run)
@@ -169,7 +168,7 @@ async def test_a_headset_that_cannot_be_connected_is_absent(
 
 @pytest.mark.parametrize("code", [3, 11, 12, 16])
 async def test_some_warnings_end_a_connection(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually, code: int
+    cortex: ScriptedCortex, running: Running, code: int
 ) -> None:
     async with running() as run:
         await eventually(run.is_streaming)
@@ -178,7 +177,7 @@ async def test_some_warnings_end_a_connection(
 
 
 async def test_motion_that_never_comes_costs_eeg_one_connection_and_no_more(
-    cortex: ScriptedCortex, running: Running, eventually: Eventually
+    cortex: ScriptedCortex, running: Running
 ) -> None:
     async with running() as run:
         await eventually(run.is_streaming)
@@ -296,7 +295,6 @@ async def test_no_secret_shows_anywhere(
     cortex: ScriptedCortex,
     answers: Answers,
     running: Running,
-    eventually: Eventually,
     planted: tuple[str, ...],
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
-import subprocess
 import sys
-import time
 import tty
 import uuid
-from collections.abc import Awaitable, Callable, Generator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import NamedTuple
 
-import pylsl
 import pytest
 
 from biosensor_gateway import cli
@@ -23,76 +18,18 @@ from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import flush_logs
-from tests.open_outlets import outlets_of
 from tests.rigs.kept_logging import kept_logging
 from tests.rigs.virtual_time import virtual_clock
 
 __all__ = ["virtual_clock"]
 
 DEADLINE_S = 30.0
-_POLL_S = 0.01
-
-
-@pytest.fixture(scope="session")
-def until() -> Callable[[Callable[[], bool]], None]:
-    """Wait for a condition, for as long as it may take on a busy machine."""
-
-    def wait(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, "it did not happen"
-            time.sleep(_POLL_S)
-
-    return wait
-
-
-@pytest.fixture(scope="session")
-def eventually() -> Callable[[Callable[[], bool]], Awaitable[None]]:
-    """The same on an event loop."""
-
-    async def wait(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, "it did not happen"
-            await asyncio.sleep(_POLL_S)
-
-    return wait
 
 
 @pytest.fixture
 def unit() -> str:
     """A device that no other test has."""
     return uuid.uuid4().hex
-
-
-@pytest.fixture
-def inlet() -> Callable[..., pylsl.StreamInlet]:
-    """Find a stream by its source_id and begin to receive it.
-
-    An inlet that does not recover gives nothing any more once its outlet has gone, not even
-    what has arrived.
-    """
-
-    def opened(source_id: str, *, recover: bool = False) -> pylsl.StreamInlet:
-        found = pylsl.resolve_byprop("source_id", source_id, timeout=DEADLINE_S)
-        assert len(found) == 1
-        reader = pylsl.StreamInlet(found[0], recover=recover)
-        reader.open_stream(DEADLINE_S)
-        # The sender has answered; only then it makes the queue for what is pushed.
-        assert all(each.wait_for_consumers(DEADLINE_S) for each in outlets_of(source_id))
-        return reader
-
-    return opened
-
-
-@pytest.fixture
-def visible() -> Callable[[str], bool]:
-    """Whether anybody offers a stream of that source_id."""
-
-    def resolved(source_id: str) -> bool:
-        return bool(pylsl.resolve_byprop("source_id", source_id, timeout=1.0))
-
-    return resolved
 
 
 class Pty:
@@ -122,35 +59,6 @@ def pty() -> Generator[Pty]:
     terminal = Pty()
     yield terminal
     terminal.hang_up()
-
-
-@pytest.fixture(scope="session")
-def cli_process() -> Callable[..., AbstractContextManager[subprocess.Popen[bytes]]]:
-    """Run the command line as a process; state and stderr go into the given folder.
-
-    ``before`` is Python that runs first, for what no real device does on demand.
-    """
-
-    @contextlib.contextmanager
-    def started(
-        folder: Path, *arguments: str, before: str = ""
-    ) -> Generator[subprocess.Popen[bytes]]:
-        environment = os.environ | {"BIOSENSOR_GATEWAY_STATE": str(folder)}
-        code = f"{before}\nfrom biosensor_gateway.cli import main\nmain()"
-        program = ["-c", code] if before else ["-m", "biosensor_gateway.cli"]
-        command = [sys.executable, *program, *arguments]
-        with (folder / "stderr.txt").open("wb") as stderr:
-            process = subprocess.Popen(
-                command, env=environment, stdout=subprocess.DEVNULL, stderr=stderr
-            )
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
-
-    return started
 
 
 class Outcome(NamedTuple):

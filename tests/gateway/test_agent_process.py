@@ -12,12 +12,11 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Awaitable, Callable, Generator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import pylsl
 import pytest
 
 from biosensor_common import naming
@@ -37,6 +36,8 @@ from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.rigs.gateway import cli_process, inlet, visible
+from tests.rigs.polling import wait_until
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly
@@ -48,11 +49,6 @@ OPENING_TAKES_A_MINUTE = """
 import time, serial
 serial.Serial.__init__ = lambda *arguments, **options: time.sleep(60)
 """
-Until = Callable[[Callable[[], bool]], None]
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
-Visible = Callable[[str], bool]
-OpenInlet = Callable[[str], pylsl.StreamInlet]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 BOTH_SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
 
@@ -87,9 +83,6 @@ def end(process: subprocess.Popen[bytes], number: signal.Signals, folder: Path) 
 @pytest.mark.seam
 @BOTH_SIGNALS
 def test_it_ends_while_streaming_and_its_streams_vanish(
-    cli_process: StartCli,
-    until: Until,
-    visible: Visible,
     tmp_path: Path,
     unit: str,
     number: signal.Signals,
@@ -98,40 +91,38 @@ def test_it_ends_while_streaming_and_its_streams_vanish(
         SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
-        until(lambda: is_streaming(tmp_path))
-        until(lambda: visible(f"zephyr-{unit}-ecg"))
+        wait_until(lambda: is_streaming(tmp_path))
+        wait_until(lambda: visible(f"zephyr-{unit}-ecg"))
         end(process, number, tmp_path)
-        until(lambda: device.switched_on == frozenset())
-    until(lambda: not visible(f"zephyr-{unit}-ecg"))
+        wait_until(lambda: device.switched_on == frozenset())
+    wait_until(lambda: not visible(f"zephyr-{unit}-ecg"))
 
 
 @BOTH_SIGNALS
 def test_it_ends_while_the_device_is_absent(
-    cli_process: StartCli, until: Until, tmp_path: Path, unit: str, number: signal.Signals
+    tmp_path: Path, unit: str, number: signal.Signals
 ) -> None:
     arguments = write_settings(tmp_path, str(tmp_path / "ttyUSB9"), unit)
     with cli_process(tmp_path, *arguments) as process:
-        until(lambda: device_of(tmp_path).get("error") is not None)
+        wait_until(lambda: device_of(tmp_path).get("error") is not None)
         end(process, number, tmp_path)
 
 
 @BOTH_SIGNALS
 def test_it_ends_while_the_device_does_not_answer(
-    cli_process: StartCli, until: Until, tmp_path: Path, pty: Any, unit: str, number: signal.Signals
+    tmp_path: Path, pty: Any, unit: str, number: signal.Signals
 ) -> None:
     with cli_process(tmp_path, *write_settings(tmp_path, pty.port, unit)) as process:
-        until(lambda: pty.heard() != b"")
-        until(lambda: device_of(tmp_path).get("state") == "connecting")
+        wait_until(lambda: pty.heard() != b"")
+        wait_until(lambda: device_of(tmp_path).get("state") == "connecting")
         end(process, number, tmp_path)
 
 
 @BOTH_SIGNALS
-def test_it_ends_while_a_port_is_opening(
-    cli_process: StartCli, until: Until, tmp_path: Path, unit: str, number: signal.Signals
-) -> None:
+def test_it_ends_while_a_port_is_opening(tmp_path: Path, unit: str, number: signal.Signals) -> None:
     arguments = write_settings(tmp_path, "COM7", unit)
     with cli_process(tmp_path, *arguments, before=OPENING_TAKES_A_MINUTE) as process:
-        until(lambda: device_of(tmp_path).get("state") == "connecting")
+        wait_until(lambda: device_of(tmp_path).get("state") == "connecting")
         end(process, number, tmp_path)
 
 
@@ -146,26 +137,24 @@ def writing_blocked(port: str) -> Generator[None]:
 
 @BOTH_SIGNALS
 def test_it_ends_while_the_device_is_out_of_reach(
-    cli_process: StartCli, until: Until, tmp_path: Path, unit: str, number: signal.Signals
+    tmp_path: Path, unit: str, number: signal.Signals
 ) -> None:
     with (
         SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
-        until(lambda: is_streaming(tmp_path))
+        wait_until(lambda: is_streaming(tmp_path))
         with writing_blocked(device.port):
             device.stall()
             end(process, number, tmp_path)
 
 
-def test_an_impatient_second_signal_cuts_nothing_short(
-    cli_process: StartCli, until: Until, tmp_path: Path, unit: str
-) -> None:
+def test_an_impatient_second_signal_cuts_nothing_short(tmp_path: Path, unit: str) -> None:
     with (
         SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
-        until(lambda: is_streaming(tmp_path))
+        wait_until(lambda: is_streaming(tmp_path))
         with writing_blocked(device.port):
             device.stall()
             process.send_signal(signal.SIGINT)
@@ -185,12 +174,10 @@ def status(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.seam
-def test_status_follows_a_virtual_device_from_start_to_kill(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_status_follows_a_virtual_device_from_start_to_kill(tmp_path: Path) -> None:
     assert status(tmp_path).returncode == 1
     with cli_process(tmp_path, "run", "--simulate", "zephyr") as process:
-        until(lambda: is_streaming(tmp_path))
+        wait_until(lambda: is_streaming(tmp_path))
         told = status(tmp_path)
         assert (told.returncode, told.stderr) == (0, "")
         assert "zephyr (virtual): streaming" in told.stdout
@@ -202,14 +189,12 @@ def test_status_follows_a_virtual_device_from_start_to_kill(
         process.kill()
         process.wait()
     # Nobody was left to remove the file; its age tells.
-    until(lambda: device_of(tmp_path) == {})
+    wait_until(lambda: device_of(tmp_path) == {})
     assert (tmp_path / status_file.STATUS_FILE).exists()
     assert status(tmp_path).returncode == 1
 
 
-def test_the_counters_stream_tells_what_was_pushed(
-    cli_process: StartCli, inlet: OpenInlet, tmp_path: Path
-) -> None:
+def test_the_counters_stream_tells_what_was_pushed(tmp_path: Path) -> None:
     gateway = DeviceIdentity("gateway", socket.gethostname())
     with cli_process(tmp_path, "run", "--simulate", "zephyr") as process:
         reader = inlet(naming.source_id(gateway, "counters"))
@@ -226,9 +211,7 @@ def test_the_counters_stream_tells_what_was_pushed(
         end(process, signal.SIGTERM, tmp_path)
 
 
-def test_a_state_folder_that_cannot_be_written_stops_nothing(
-    cli_process: StartCli, until: Until, visible: Visible, tmp_path: Path, unit: str
-) -> None:
+def test_a_state_folder_that_cannot_be_written_stops_nothing(tmp_path: Path, unit: str) -> None:
     in_the_way = tmp_path / "state"
     in_the_way.touch()
     before = f"import os\nos.environ['BIOSENSOR_GATEWAY_STATE'] = {str(in_the_way)!r}"
@@ -236,7 +219,7 @@ def test_a_state_folder_that_cannot_be_written_stops_nothing(
         SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit), before=before) as agent,
     ):
-        until(lambda: visible(f"zephyr-{unit}-ecg"))
+        wait_until(lambda: visible(f"zephyr-{unit}-ecg"))
         agent.send_signal(signal.SIGTERM)
         assert agent.wait(ENDED_WITHIN_S) == 0
     told = (tmp_path / "stderr.txt").read_text()
@@ -269,7 +252,7 @@ class DeadSupervisor(Supervisor):
 
 
 async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, visible: Visible, unit: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, unit: str
 ) -> None:
     # LSL is configured once a process, and here for all tests.
     monkeypatch.setattr(agent_module, "configure_lsl", lambda _overrides: None)  # pyright: ignore[reportUnknownLambdaType, reportUnknownArgumentType]
@@ -355,11 +338,9 @@ def said(folder: Path) -> str:
 
 
 @pytest.mark.seam
-def test_stop_ends_the_agent_as_ctrl_c_does(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_stop_ends_the_agent_as_ctrl_c_does(tmp_path: Path) -> None:
     with cli_process(tmp_path, *RUN) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         assert stop(tmp_path) == (0, "the agent has ended\n", "")
         assert agent.wait(DEADLINE_S) == 0
     assert {each.name for each in tmp_path.iterdir()} == {LOG_FILE_NAME, "stderr.txt"}
@@ -372,10 +353,10 @@ def test_without_an_agent_stop_says_so_and_makes_no_folder(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
-def test_several_may_ask_at_once(cli_process: StartCli, until: Until, tmp_path: Path) -> None:
+def test_several_may_ask_at_once(tmp_path: Path) -> None:
     program = [sys.executable, "-m", "biosensor_gateway.cli", "stop", "--timeout", "60"]
     with cli_process(tmp_path, *RUN) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         environment = os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)}
         askers = [
             subprocess.Popen(program, env=environment, stdout=subprocess.PIPE, text=True)
@@ -389,22 +370,18 @@ def test_several_may_ask_at_once(cli_process: StartCli, until: Until, tmp_path: 
     assert "Traceback" not in said(tmp_path)
 
 
-def test_an_agent_that_is_still_starting_is_stopped_as_well(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_an_agent_that_is_still_starting_is_stopped_as_well(tmp_path: Path) -> None:
     with cli_process(tmp_path, *RUN, before=STARTING_TAKES_A_WHILE) as agent:
-        until(lambda: is_held(tmp_path))
+        wait_until(lambda: is_held(tmp_path))
         assert not (tmp_path / CONTROL_FILE).exists()
         assert stop(tmp_path, "--timeout", "60") == (0, "the agent has ended\n", "")
         assert agent.wait(DEADLINE_S) == 0
 
 
 @pytest.mark.seam
-def test_a_second_agent_is_refused_and_the_first_goes_on(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_a_second_agent_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
     with cli_process(tmp_path, *RUN) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         log = (tmp_path / LOG_FILE_NAME).read_text()
         second = command(tmp_path, *RUN)
         assert (second.returncode, second.stdout) == (2, "")
@@ -413,36 +390,32 @@ def test_a_second_agent_is_refused_and_the_first_goes_on(
             assert words in second.stderr
         assert (tmp_path / LOG_FILE_NAME).read_text() == log
         before = pushed(tmp_path)
-        until(lambda: pushed(tmp_path) > before)
+        wait_until(lambda: pushed(tmp_path) > before)
         assert status_file.read_status(tmp_path)["process"] == agent.pid
         assert stop(tmp_path)[0] == 0
         assert agent.wait(DEADLINE_S) == 0
 
 
-def test_a_killed_agent_is_neither_stopped_nor_in_the_way(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_a_killed_agent_is_neither_stopped_nor_in_the_way(tmp_path: Path) -> None:
     with cli_process(tmp_path, *RUN) as killed:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         killed.send_signal(signal.SIGKILL)
         killed.wait()
     assert (tmp_path / CONTROL_FILE).exists()
     assert (tmp_path / LOCK_FILE).exists()
     assert stop(tmp_path) == (1, "", NO_AGENT)
     with cli_process(tmp_path, *RUN) as agent:
-        until(lambda: pushed(tmp_path) > 0 and is_held(tmp_path))
+        wait_until(lambda: pushed(tmp_path) > 0 and is_held(tmp_path))
         assert stop(tmp_path) == (0, "the agent has ended\n", "")
         assert agent.wait(DEADLINE_S) == 0
 
 
-def test_an_agent_runs_where_nothing_can_be_written(
-    cli_process: StartCli, until: Until, visible: Callable[[str], bool], tmp_path: Path
-) -> None:
+def test_an_agent_runs_where_nothing_can_be_written(tmp_path: Path) -> None:
     in_the_way = tmp_path / "state"
     in_the_way.touch()
     before = f"import os\nos.environ['BIOSENSOR_GATEWAY_STATE'] = {str(in_the_way)!r}"
     with cli_process(tmp_path, *RUN, before=before) as agent:
-        until(lambda: visible("zephyr-virtual-ecg"))
+        wait_until(lambda: visible("zephyr-virtual-ecg"))
         assert stop(in_the_way) == (1, "", NO_AGENT)
         assert agent.poll() is None
         agent.send_signal(signal.SIGINT)
@@ -452,12 +425,10 @@ def test_an_agent_runs_where_nothing_can_be_written(
     assert "Traceback" not in said(tmp_path)
 
 
-def test_an_agent_without_a_control_file_runs_and_says_so(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_an_agent_without_a_control_file_runs_and_says_so(tmp_path: Path) -> None:
     (tmp_path / CONTROL_FILE).mkdir()
     with cli_process(tmp_path, *RUN) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         code, out, err = stop(tmp_path, "--timeout", "1")
         assert (code, out) == (1, "")
         assert "does not answer" in err
@@ -466,11 +437,9 @@ def test_an_agent_without_a_control_file_runs_and_says_so(
     assert said(tmp_path).count("`stop` will not work") == 1
 
 
-def test_an_agent_that_hangs_is_said_not_to_answer(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_an_agent_that_hangs_is_said_not_to_answer(tmp_path: Path) -> None:
     with cli_process(tmp_path, *RUN) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         agent.send_signal(signal.SIGSTOP)
         code, out, err = stop(tmp_path, "--timeout", "1")
         agent.send_signal(signal.SIGCONT)
@@ -480,11 +449,9 @@ def test_an_agent_that_hangs_is_said_not_to_answer(
         assert "does not answer" in err
 
 
-def test_an_agent_that_does_not_end_in_time_is_named(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_an_agent_that_does_not_end_in_time_is_named(tmp_path: Path) -> None:
     with cli_process(tmp_path, *RUN, before=CLOSING_TAKES_A_MINUTE) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         code, out, err = stop(tmp_path, "--timeout", "2")
         assert (code, out) == (1, "")
         assert err.count("\n") == 1
@@ -495,10 +462,10 @@ def test_an_agent_that_does_not_end_in_time_is_named(
 
 @pytest.mark.parametrize("is_signalled", [False, True])
 def test_an_agent_that_hangs_while_it_closes_ends_all_the_same(
-    cli_process: StartCli, until: Until, tmp_path: Path, is_signalled: bool
+    tmp_path: Path, is_signalled: bool
 ) -> None:
     with cli_process(tmp_path, *RUN, before=CLOSING_NEVER_ENDS) as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         if is_signalled:
             agent.terminate()
         else:
@@ -516,12 +483,10 @@ def reply_to(folder: Path, sent: bytes) -> dict[str, Any]:
             return json.loads(replies.read())
 
 
-def test_nothing_hostile_disturbs_a_running_agent(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_nothing_hostile_disturbs_a_running_agent(tmp_path: Path) -> None:
     noise = random.Random(2)
     with cli_process(tmp_path, *RUN, "--verbose") as agent:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         token: str = json.loads((tmp_path / CONTROL_FILE).read_text())["token"]
         wrong = {"token": token[::-1], "command": "stop"}
         unknown = {"token": token, "command": "fly"}
@@ -536,7 +501,7 @@ def test_nothing_hostile_disturbs_a_running_agent(
         assert [reply["ok"] for reply in replies] == [False] * len(attacks)
         assert f"within {TIME_LIMIT_S:g} s" in replies[-3]["problem"]
         before = pushed(tmp_path)
-        until(lambda: pushed(tmp_path) > before)
+        wait_until(lambda: pushed(tmp_path) > before)
         (device,) = status_file.read_status(tmp_path)["devices"]
         assert (device["state"], device["connections"]) == ("streaming", 1)
         assert all(counters["lost"] == 0 for counters in device["streams"].values())

@@ -6,7 +6,7 @@ import asyncio
 import errno
 import socket
 import threading
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
+from collections.abc import AsyncGenerator, Generator
 
 import pytest
 from pylsl import local_clock
@@ -17,6 +17,7 @@ from biosensor_gateway.transports.byte_links import RfcommLink, TcpLink, byte_li
 from biosensor_gateway.transports.link import ByteLink
 from biosensor_gateway.transports.serial_port import SerialLink
 from biosensor_gateway.transports.threads import in_daemon_thread
+from tests.rigs.polling import eventually
 
 pytestmark = pytest.mark.nightly
 
@@ -24,11 +25,9 @@ ALL_BYTES = bytes(range(256))
 ENDED_WITHIN_S = 20.0
 ADDRESS = "00:06:66:AA:BB:CC"
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
-
 
 @pytest.fixture(autouse=True)
-async def no_thread_is_left(eventually: Eventually) -> AsyncGenerator[None]:
+async def no_thread_is_left() -> AsyncGenerator[None]:
     before = set(threading.enumerate())
     yield
     await eventually(lambda: set(threading.enumerate()) <= before)

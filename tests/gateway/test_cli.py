@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +30,8 @@ from biosensor_gateway.demo import virtual_devices as simulate
 from biosensor_gateway.devices.polar_h10.driver import PolarH10Settings
 from biosensor_gateway.devices.registry import sensor, sensor_names
 from biosensor_gateway.settings.places import STATE_VARIABLE
+from tests.rigs.gateway import cli_process
+from tests.rigs.polling import wait_until
 from tests.rigs.zephyr import SteeredBioHarness
 
 if TYPE_CHECKING:
@@ -203,9 +204,7 @@ def test_a_name_that_no_participant_can_have_is_refused(run: Run) -> None:
 
 
 @pytest.mark.nightly
-def test_a_virtual_device_says_which_package_it_needs(
-    cli_process: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_virtual_device_says_which_package_it_needs(tmp_path: Path) -> None:
     before = "import sys; sys.modules['bumble'] = None"
     arguments = ("run", "--simulate", "polar_h10")
     with cli_process(tmp_path, *arguments, before=before) as process:
@@ -440,9 +439,6 @@ def test_every_help_is_shown_and_every_use_says_one_sentence(tmp_path: Path) -> 
 # What a serial line of 115200 baud carries in a twentieth of a second.
 GARBAGE_BYTES, GARBAGE_EVERY_S = 576, 0.05
 
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
-
 
 class Lab(NamedTuple):
     """A running agent with one good device and four bad ones."""
@@ -505,9 +501,7 @@ def babbling(master: int, over: threading.Event) -> None:
 
 
 @pytest.fixture(scope="module")
-def lab(
-    ports: dict[str, str], cli_process: StartCli, tmp_path_factory: pytest.TempPathFactory
-) -> Generator[Lab]:
+def lab(ports: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Generator[Lab]:
     folder = tmp_path_factory.mktemp("lab")
     path = folder / "settings.toml"
     path.write_text(
@@ -534,30 +528,30 @@ def lab(
     ],
 )
 def test_a_bad_device_is_named_with_its_fault_and_disturbs_no_other(
-    lab: Lab, until: Until, unit: str, reason: str, words: str
+    lab: Lab, unit: str, reason: str, words: str
 ) -> None:
-    until(lambda: words in (lab.device(unit).get("error") or ""))
+    wait_until(lambda: words in (lab.device(unit).get("error") or ""))
     error: str = lab.device(unit)["error"]
     assert error.startswith(f"{lab.ports[unit]}: ")
     # The log is written by a thread of its own.
-    until(lambda: bool(lab.lines_with(error)))
+    wait_until(lambda: bool(lab.lines_with(error)))
     (line,) = lab.lines_with(error)
     assert "warning" in line
     assert f"unit={unit!r}" in line
     assert f"reason={reason!r}" in line
-    until(lambda: lab.pushed() > 0)
+    wait_until(lambda: lab.pushed() > 0)
     pushed = lab.pushed()
-    until(lambda: lab.pushed() > pushed)
+    wait_until(lambda: lab.pushed() > pushed)
     good = lab.device("good")
     assert (good["state"], good["connections"], good["error"]) == ("streaming", 1, None)
     assert all(counters["lost"] == 0 for counters in good["streams"].values())
 
 
 @pytest.mark.nightly
-def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab, until: Until) -> None:
+def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab) -> None:
     with SteeredBioHarness() as repaired:
         Path(lab.ports["absent"]).symlink_to(repaired.port)
-        until(lambda: lab.device("absent").get("state") == "streaming")
+        wait_until(lambda: lab.device("absent").get("state") == "streaming")
 
 
 @pytest.mark.nightly
@@ -574,7 +568,7 @@ def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab, un
     ],
 )
 def test_bad_settings_are_a_usage_error_that_says_what_and_where(
-    cli_process: StartCli, tmp_path: Path, text: str, words: list[str]
+    tmp_path: Path, text: str, words: list[str]
 ) -> None:
     path = tmp_path / "settings.toml"
     path.write_text(text)

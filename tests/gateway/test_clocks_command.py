@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,13 +31,13 @@ from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs import file_keyring
 from tests.rigs.file_keyring import FileKeyring
+from tests.rigs.gateway import cli_process
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
 
 Run = Callable[..., "Outcome"]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
 DEADLINE_S = 30.0
 CLOCK = {
@@ -108,7 +108,7 @@ def test_a_report_of_an_older_agent_has_no_age(run: Run, state: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_watching_reports_every_second_until_ctrl_c(cli_process: StartCli, tmp_path: Path) -> None:
+def test_watching_reports_every_second_until_ctrl_c(tmp_path: Path) -> None:
     with cli_process(tmp_path, "run", "--simulate", "zephyr"):
         waiting = [sys.executable, "-m", "biosensor_gateway.cli", "wait-ready"]
         environment = os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)}

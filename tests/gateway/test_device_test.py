@@ -28,6 +28,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.transports import ble_choice
+from tests.rigs.polling import wait_until
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -180,12 +181,12 @@ def test_a_sensor_that_nobody_wears_is_told(
 
 
 def test_a_connection_that_breaks_is_told(
-    run: Run, configure: Any, zephyr: SimulatedZephyr, until: Callable[[Callable[[], bool]], None]
+    run: Run, configure: Any, zephyr: SimulatedZephyr
 ) -> None:
     configure(of(zephyr))
 
     def drop_once_it_streams() -> None:
-        until(lambda: len(zephyr.truth.samples("ecg").times) > 0)
+        wait_until(lambda: len(zephyr.truth.samples("ecg").times) > 0)
         zephyr.apply(Fault(FaultKind.DROP, 0.5))
 
     with ThreadPoolExecutor() as pool:
@@ -306,15 +307,13 @@ cli.main()
 """
 
 
-def test_ctrl_c_ends_a_try_without_a_traceback(
-    configure: Any, zephyr: SimulatedZephyr, until: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_ctrl_c_ends_a_try_without_a_traceback(configure: Any, zephyr: SimulatedZephyr) -> None:
     configure(of(zephyr))
     command = [sys.executable, "-c", STREAMING, "test", "zephyr", "--seconds", "60"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdout.readline() == b"connected\n"
-    until(lambda: len(zephyr.truth.samples("ecg").times) > 0)
+    wait_until(lambda: len(zephyr.truth.samples("ecg").times) > 0)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert process.returncode > 0

@@ -6,7 +6,7 @@ import asyncio
 import json
 import socket
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Mapping
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 from itertools import pairwise
@@ -41,6 +41,8 @@ from biosensor_gateway.streaming.outlets import Outlet, log_errors
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.streaming.stages import RESUME_GUARD_S
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from tests.rigs.gateway import inlet
+from tests.rigs.polling import eventually
 
 # Events of one device: what is said when, and with which counts.
 
@@ -364,8 +366,6 @@ def test_an_unknown_wear_is_no_change() -> None:
 # The stream of events: signs of life, stamps, and that it never harms the data.
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
 STATES = {"zephyr/1": "streaming"}
-OpenInlet = Callable[[str], pylsl.StreamInlet]
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 
 
 class Heard:
@@ -406,9 +406,7 @@ async def announcing(
 
 
 @pytest.mark.seam
-async def test_whoever_begins_to_receive_gets_a_sign_of_life_at_once(
-    inlet: OpenInlet, eventually: Eventually
-) -> None:
+async def test_whoever_begins_to_receive_gets_a_sign_of_life_at_once() -> None:
     # No period would end while the test lasts.
     async with announcing(3600.0) as announcer:
         heard = Heard(await asyncio.to_thread(inlet, SOURCE))
@@ -481,9 +479,7 @@ async def test_a_sign_of_life_tells_what_is_wrong_if_anything_is(
 
 
 @pytest.mark.nightly
-async def test_heartbeats_can_be_switched_off(
-    inlet: OpenInlet, eventually: Eventually, virtual_clock: Clock
-) -> None:
+async def test_heartbeats_can_be_switched_off(virtual_clock: Clock) -> None:
     async with announcing(0.0, clock=virtual_clock) as announcer:
         await asyncio.sleep(600.0)
         # The start, which nobody can have heard.
@@ -503,7 +499,7 @@ async def test_heartbeats_can_be_switched_off(
 
 @pytest.mark.nightly
 async def test_the_last_word_is_heard_though_the_outlet_goes(
-    inlet: OpenInlet, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # LSL's threads may be held up for longer than a person waits for the end.
     monkeypatch.setattr("biosensor_gateway.streaming.events.announcer.LINGER_S", 1.5)
@@ -520,9 +516,7 @@ async def test_the_last_word_is_heard_though_the_outlet_goes(
 
 
 @pytest.mark.nightly
-async def test_stamps_never_run_back_and_the_text_says_when_it_was(
-    inlet: OpenInlet, eventually: Eventually
-) -> None:
+async def test_stamps_never_run_back_and_the_text_says_when_it_was() -> None:
     async with announcing(3600.0) as announcer:
         heard = Heard(await asyncio.to_thread(inlet, SOURCE))
         await eventually(heard.has(EventKind.HEARTBEAT))
@@ -552,8 +546,6 @@ async def test_an_agent_that_starts_says_its_version(
 
 @pytest.mark.nightly
 async def test_nothing_that_fails_in_it_reaches_the_data(
-    inlet: OpenInlet,
-    eventually: Eventually,
     unit: str,
     virtual_clock: Clock,
     monkeypatch: pytest.MonkeyPatch,

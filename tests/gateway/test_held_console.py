@@ -12,7 +12,7 @@ import statistics
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,8 @@ from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system import logs
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
+from tests.rigs.gateway import inlet
+from tests.rigs.polling import wait_until
 from tests.rigs.stopwatch import Stopwatch
 from tests.rigs.terminal import HeldConsole
 from tests.rigs.zephyr import SteeredBioHarness
@@ -46,8 +48,6 @@ HELD = "the console takes no output"
 # More than Linux keeps for a terminal, which is 64 KiB at most.
 COMMANDS = 400
 SAMPLES_MEANWHILE = 400
-Until = Callable[[Callable[[], bool]], None]
-OpenInlet = Callable[[str], pylsl.StreamInlet]
 STOPPED_OR_UNREAD = pytest.mark.parametrize(
     "is_stopped", [False, True], ids=["nobody reads", "Ctrl-S"]
 )
@@ -113,23 +113,23 @@ def assert_without_gap(received: list[float], device: SteeredBioHarness) -> None
 
 @STOPPED_OR_UNREAD
 def test_a_held_console_holds_up_neither_streams_nor_commands_nor_the_end(
-    tmp_path: Path, until: Until, inlet: OpenInlet, unit: str, is_stopped: bool
+    tmp_path: Path, unit: str, is_stopped: bool
 ) -> None:
     console = HeldConsole(is_stopped=is_stopped)
     with (
         SteeredBioHarness() as device,
         console.program(run(tmp_path, device.port, unit), environment(tmp_path)) as agent,
     ):
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         for _ in range(COMMANDS):
             ask(tmp_path, "resume", unit)
-        until(lambda: not console.takes_output)
+        wait_until(lambda: not console.takes_output)
         # liblsl's threads have to answer, and say so.
         ecg = inlet(naming.source_id(DeviceIdentity("zephyr", unit), "ecg"))
         received: list[float] = []
-        until(lambda: pull(ecg, received) > SAMPLES_MEANWHILE)
+        wait_until(lambda: pull(ecg, received) > SAMPLES_MEANWHILE)
         ask(tmp_path, "resume", unit)
-        until(lambda: HELD in log(tmp_path))
+        wait_until(lambda: HELD in log(tmp_path))
         assert obeyed_s(tmp_path, unit) < ANSWERED_S
         assert ask(tmp_path, "pause", unit)["changed"]
         watch = Stopwatch()
@@ -143,12 +143,12 @@ def test_a_held_console_holds_up_neither_streams_nor_commands_nor_the_end(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_while_the_console_is_held(
-    tmp_path: Path, until: Until, unit: str, number: signal.Signals
+    tmp_path: Path, unit: str, number: signal.Signals
 ) -> None:
     console = HeldConsole(is_stopped=True)
     absent = run(tmp_path, str(tmp_path / "ttyUSB9"), unit)
     with console.program(absent, environment(tmp_path)) as agent:
-        until((tmp_path / CONTROL_FILE).exists)
+        wait_until((tmp_path / CONTROL_FILE).exists)
         agent.send_signal(number)
         assert agent.wait(DEADLINE_S) == 0
         assert not console.takes_output
@@ -156,19 +156,19 @@ def test_a_signal_ends_it_while_the_console_is_held(
 
 @pytest.mark.seam
 def test_a_released_console_shows_all_that_was_said_meanwhile_and_the_last_lines(
-    tmp_path: Path, until: Until, unit: str
+    tmp_path: Path, unit: str
 ) -> None:
     console = HeldConsole(is_stopped=True)
     absent = run(tmp_path, str(tmp_path / "ttyUSB9"), unit)
     with console.program(absent, environment(tmp_path)) as agent:
-        until((tmp_path / CONTROL_FILE).exists)
+        wait_until((tmp_path / CONTROL_FILE).exists)
         for _ in range(20):
             ask(tmp_path, "resume", unit)
         console.release()
-        until(lambda: console.shown.count("command='resume'") == 20)
+        wait_until(lambda: console.shown.count("command='resume'") == 20)
         ask(tmp_path, "stop", unit)
         assert agent.wait(DEADLINE_S) == 0
-        until(lambda: "command='stop'" in console.shown)
+        wait_until(lambda: "command='stop'" in console.shown)
     # What liblsl says, which says it by itself, comes the same way.
     assert ".cpp:" in console.shown
     assert "Press Ctrl-C to end it." in console.shown
@@ -233,7 +233,6 @@ def test_the_console_goes_on_and_says_so_and_the_process_ends(fifo: Path, unread
 def test_what_did_not_fit_is_counted_in_its_place(
     fifo: Path,
     unread: int,
-    until: Callable[[Callable[[], bool]], None],
     logging_as_before: None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -250,9 +249,9 @@ def test_what_did_not_fit_is_counted_in_its_place(
             read.extend(os.read(unread, 1 << 16))
         return b"missing" in read and read.endswith(b"\n")
 
-    until(has_all)
+    wait_until(has_all)
     LOG.info("again")
-    until(lambda: has_all() and b"again" in read)
+    wait_until(lambda: has_all() and b"again" in read)
     records: list[dict[str, Any]] = [json.loads(line) for line in read.splitlines()]
     came = [record["number"] for record in records if record["event"] == "filling"]
     assert came == list(range(len(came)))

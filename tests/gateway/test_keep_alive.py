@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from subprocess import Popen
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,8 @@ from biosensor_gateway.system.keep_alive import restart_facts
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from biosensor_gateway.system.restart_notice import RESTARTING_FILE
 from tests.gateway.test_agent_process import command, stop
+from tests.rigs.gateway import cli_process
+from tests.rigs.polling import wait_until
 from tests.rigs.terminal import at_terminal
 
 if TYPE_CHECKING:
@@ -120,9 +121,6 @@ DEADLINE_S = 30.0
 ECG, ECG_STEP_S = "zephyr-virtual-ecg", 1 / 250
 AFTER_S = 4.0
 
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["Popen[bytes]"]]
-
 
 def status(folder: Path) -> dict[str, Any]:
     try:
@@ -164,27 +162,27 @@ def standby_of(supervisor: Popen[bytes], agent: int) -> int:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.seam
-def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(tmp_path: Path) -> None:
     with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as supervisor:
-        until(lambda: pushed(tmp_path) > 0 and (tmp_path / STREAMS_FILE).exists())
+        wait_until(lambda: pushed(tmp_path) > 0 and (tmp_path / STREAMS_FILE).exists())
         killed = status(tmp_path)["process"]
         assert killed != supervisor.pid
         events = Events()
-        until(lambda: len(events.heartbeats()) > 0)
+        wait_until(lambda: len(events.heartbeats()) > 0)
         first = events.heartbeats()[-1]
         assert "restarts" not in first
-        until(lambda: standby_of(supervisor, killed) != 0)
+        wait_until(lambda: standby_of(supervisor, killed) != 0)
         standby = standby_of(supervisor, killed)
         os.kill(killed, signal.SIGKILL)
-        until(lambda: status(tmp_path).get("process", killed) != killed and pushed(tmp_path) > 0)
+        wait_until(
+            lambda: status(tmp_path).get("process", killed) != killed and pushed(tmp_path) > 0
+        )
         assert status(tmp_path)["process"] == standby
         assert status(tmp_path)["restarts"] == 1
         shown = command(tmp_path, "status").stdout
         assert "started again once, last after: killed by SIGKILL" in shown
         # Recorders hear it from a heartbeat: they are not back yet when the agent starts.
-        until(lambda: events.heartbeats()[-1]["agent_started"] > first["agent_started"])
+        wait_until(lambda: events.heartbeats()[-1]["agent_started"] > first["agent_started"])
         second = events.heartbeats()[-1]
         assert (second["restarts"], second["last_end"]) == (1, "killed by SIGKILL")
         events.close()
@@ -200,21 +198,19 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
-def test_a_stream_goes_on_after_one_gap(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_a_stream_goes_on_after_one_gap(tmp_path: Path) -> None:
     with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as supervisor:
-        until(lambda: pushed(tmp_path) > 0)
+        wait_until(lambda: pushed(tmp_path) > 0)
         killed = status(tmp_path)["process"]
         (info,) = pylsl.resolve_byprop("source_id", ECG, timeout=DEADLINE_S)
         reader = pylsl.StreamInlet(info, recover=True)
-        until(lambda: standby_of(supervisor, killed) != 0)
+        wait_until(lambda: standby_of(supervisor, killed) != 0)
         standby = standby_of(supervisor, killed)
-        stamps = received(reader, until)
+        stamps = received(reader)
         os.kill(killed, signal.SIGKILL)
         killed_s = pylsl.local_clock()
         while stamps[-1] < killed_s + AFTER_S:
-            stamps += received(reader, until)
+            stamps += received(reader)
         reader.close_stream()
         assert status(tmp_path)["process"] == standby
         assert stop(tmp_path)[0] == 0
@@ -225,14 +221,14 @@ def test_a_stream_goes_on_after_one_gap(
     assert stamps[gap] <= killed_s < stamps[gap + 1]
 
 
-def received(reader: pylsl.StreamInlet, until: Until) -> list[float]:
+def received(reader: pylsl.StreamInlet) -> list[float]:
     stamps: list[float] = []
 
     def some_came() -> bool:
         stamps.extend(reader.pull_chunk(0.0, max_samples=1024)[1])
         return bool(stamps)
 
-    until(some_came)
+    wait_until(some_came)
     return stamps
 
 
@@ -318,8 +314,8 @@ Process = subprocess.Popen[bytes]
 class Kept:
     """A supervisor, and what its program has recorded."""
 
-    def __init__(self, folder: Path, until: Until) -> None:
-        self._record, self._until = folder / "record.txt", until
+    def __init__(self, folder: Path) -> None:
+        self._record = folder / "record.txt"
         self._folder = folder
         self._supervisors: list[Process] = []
 
@@ -346,7 +342,7 @@ class Kept:
 
     def wait_for(self, beginning: str, count: int) -> str:
         """Return the last of so many lines that begin so."""
-        self._until(lambda: len(self.story(beginning)) >= count)
+        wait_until(lambda: len(self.story(beginning)) >= count)
         return self.story(beginning)[count - 1]
 
     def close(self) -> None:
@@ -363,8 +359,8 @@ def kill(process: int) -> None:
 
 
 @pytest.fixture
-def kept_with_standby(tmp_path: Path, until: Until) -> Generator[Kept]:
-    made = Kept(tmp_path, until)
+def kept_with_standby(tmp_path: Path) -> Generator[Kept]:
+    made = Kept(tmp_path)
     yield made
     made.close()
 
@@ -389,14 +385,12 @@ def test_the_standby_takes_over_and_has_a_standby_then(kept_with_standby: Kept) 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
-def test_for_a_standby_that_has_died_a_new_program_is_started(
-    kept_with_standby: Kept, until: Until
-) -> None:
+def test_for_a_standby_that_has_died_a_new_program_is_started(kept_with_standby: Kept) -> None:
     kept_with_standby.start()
     standby = kept_with_standby.wait_for("stands by", 1)
     first = kept_with_standby.wait_for("runs", 1)
     kill(int(standby))
-    until(lambda: not lives(int(standby)))
+    wait_until(lambda: not lives(int(standby)))
     kill(int(first.split()[0]))
     again = kept_with_standby.wait_for("runs", 2)
     assert again.split(maxsplit=1)[1] == "1 killed by SIGKILL"
@@ -419,12 +413,12 @@ def test_a_standby_that_cannot_be_started_keeps_nobody_from_coming_back(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
-def test_a_standby_ends_with_its_keeper(kept_with_standby: Kept, until: Until) -> None:
+def test_a_standby_ends_with_its_keeper(kept_with_standby: Kept) -> None:
     supervisor = kept_with_standby.start()
     kept_with_standby.wait_for("runs", 1)
     standby = int(kept_with_standby.wait_for("stands by", 1))
     supervisor.kill()
-    until(lambda: not lives(standby))
+    wait_until(lambda: not lives(standby))
     assert len(kept_with_standby.story("runs")) == 1
 
 
@@ -457,12 +451,12 @@ def test_who_dies_soon_has_no_standby(kept_with_standby: Kept) -> None:
 
 
 @pytest.fixture
-def waiting(kept_with_standby: Kept, state: Path, until: Until) -> Process:
+def waiting(kept_with_standby: Kept, state: Path) -> Process:
     """A supervisor that waits for a minute before its next start."""
     state.mkdir()
     kept_with_standby.tell_program("fail")
     supervisor = kept_with_standby.start(before=f"{WAITS_FOR_A_MINUTE}; folder = {str(state)!r}")
-    until(lambda: restart_notice.read(state) is not None)
+    wait_until(lambda: restart_notice.read(state) is not None)
     return supervisor
 
 
@@ -497,14 +491,14 @@ def test_stop_ends_who_waits(
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
 @pytest.mark.nightly
 def test_who_is_not_stopped_goes_on_and_says_no_more(
-    kept_with_standby: Kept, tmp_path: Path, until: Until
+    kept_with_standby: Kept, tmp_path: Path
 ) -> None:
     kept_with_standby.tell_program("fail")
     supervisor = kept_with_standby.start()
-    until((tmp_path / RESTARTING_FILE).exists)
+    wait_until((tmp_path / RESTARTING_FILE).exists)
     (tmp_path / "record.fail").unlink()
     kept_with_standby.wait_for("runs", 3)
-    until(lambda: not (tmp_path / RESTARTING_FILE).exists())
+    wait_until(lambda: not (tmp_path / RESTARTING_FILE).exists())
     kept_with_standby.tell_program("end")
     assert supervisor.wait(DEADLINE_S) == 0
 

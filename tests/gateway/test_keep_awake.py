@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -28,6 +27,8 @@ from biosensor_gateway.system.keep_awake import (
     system_inhibitor,
 )
 from tests.rigs.bluez.private_bus import PrivateBus
+from tests.rigs.gateway import cli_process
+from tests.rigs.polling import eventually, wait_until
 from tests.rigs.virtual_time import SetClock
 
 # When the computer is kept awake, and what is said of it.
@@ -150,8 +151,6 @@ def test_it_is_not_said_to_be_held_before_the_system_has_agreed() -> None:
 
 
 # By which program the computer is kept awake, and that it always ends.
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 ENDED_WITHIN_S = 15.0
 NOTHING = "nothing on this computer can hold off its sleep"
 # Both run something that they outlive, as the real ones do.
@@ -245,12 +244,12 @@ def held_until(awake: KeepAwake, logs: list[Any], event: str) -> Callable[[], bo
 @pytest.mark.seam
 @BOTH
 def test_the_program_runs_while_it_is_held_and_not_longer(
-    programs: Programs, keep_awake: MakeKeepAwake, until: Until, platform: str
+    programs: Programs, keep_awake: MakeKeepAwake, platform: str
 ) -> None:
     awake = keep_awake(system_inhibitor(platform))
     with capture_logs() as logs:
-        until(held_until(awake, logs, KEPT))
-        until(lambda: programs.calls != [])
+        wait_until(held_until(awake, logs, KEPT))
+        wait_until(lambda: programs.calls != [])
         awake.hold(True)
         assert is_running(programs.process)
         # Ctrl-C goes to the group of the agent.
@@ -266,25 +265,23 @@ def test_the_program_runs_while_it_is_held_and_not_longer(
 @pytest.mark.nightly
 @BOTH
 def test_a_program_that_refuses_is_quoted(
-    programs: Programs, keep_awake: MakeKeepAwake, until: Until, platform: str
+    programs: Programs, keep_awake: MakeKeepAwake, platform: str
 ) -> None:
     programs.write(PLATFORMS[platform], "echo; echo 'Failed: Access denied' >&2; echo >&2; false")
     awake = keep_awake(system_inhibitor(platform))
     with capture_logs() as logs:
-        until(held_until(awake, logs, WARNED))
+        wait_until(held_until(awake, logs, WARNED))
     assert logs[-1]["error"] == "Failed: Access denied"
     assert len(programs.calls) == 2
 
 
 @pytest.mark.nightly
-def test_a_program_that_is_killed_is_noticed(
-    programs: Programs, keep_awake: MakeKeepAwake, until: Until
-) -> None:
+def test_a_program_that_is_killed_is_noticed(programs: Programs, keep_awake: MakeKeepAwake) -> None:
     awake = keep_awake(system_inhibitor("linux"))
     with capture_logs() as logs:
-        until(held_until(awake, logs, KEPT))
+        wait_until(held_until(awake, logs, KEPT))
         os.kill(programs.process, signal.SIGKILL)
-        until(held_until(awake, logs, WARNED))
+        wait_until(held_until(awake, logs, WARNED))
     assert logs[-1]["error"] == "it ended by itself"
 
 
@@ -336,18 +333,16 @@ while True:
 
 @pytest.mark.nightly
 @BOTH
-def test_the_program_ends_with_a_process_that_is_killed(
-    programs: Programs, until: Until, platform: str
-) -> None:
+def test_the_program_ends_with_a_process_that_is_killed(programs: Programs, platform: str) -> None:
     with subprocess.Popen([sys.executable, "-c", HOLDS, platform]) as holder:
         try:
-            until(lambda: programs.calls != [])
+            wait_until(lambda: programs.calls != [])
             process = programs.process
             assert is_running(process)
         finally:
             holder.kill()
-    until(lambda: programs.calls[-1] == "released")
-    until(lambda: not is_running(process))
+    wait_until(lambda: programs.calls[-1] == "released")
+    wait_until(lambda: not is_running(process))
 
 
 def device_state(folder: Path) -> tuple[str, float]:
@@ -359,7 +354,7 @@ def device_state(folder: Path) -> tuple[str, float]:
     return status["devices"][0]["state"], status["written"]
 
 
-def reports(until: Until, folder: Path, state: str) -> None:
+def reports(folder: Path, state: str) -> None:
     """Wait for three of the agent's reports with the device in that state."""
     seen: set[float] = set()
 
@@ -369,7 +364,7 @@ def reports(until: Until, folder: Path, state: str) -> None:
             seen.add(written)
         return len(seen) >= 3
 
-    until(enough)
+    wait_until(enough)
 
 
 needs_linux = pytest.mark.skipif(
@@ -385,15 +380,15 @@ needs_systemd = pytest.mark.skipif(
 @needs_linux
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_an_agent_that_streams_keeps_the_computer_awake_until_it_ends(
-    cli_process: StartCli, programs: Programs, until: Until, tmp_path: Path, number: signal.Signals
+    programs: Programs, tmp_path: Path, number: signal.Signals
 ) -> None:
     with cli_process(tmp_path, "run", "--simulate", "zephyr") as agent:
-        until(lambda: KEPT in (tmp_path / "stderr.txt").read_text())
-        reports(until, tmp_path, "streaming")
+        wait_until(lambda: KEPT in (tmp_path / "stderr.txt").read_text())
+        reports(tmp_path, "streaming")
         assert is_running(programs.process)
         agent.send_signal(number)
         assert agent.wait(ENDED_WITHIN_S) in {0, -signal.SIGKILL}
-    until(lambda: not is_running(programs.process))
+    wait_until(lambda: not is_running(programs.process))
     told = (tmp_path / "stderr.txt").read_text()
     assert len([call for call in programs.calls if call.startswith("called")]) == 1
     assert told.count(KEPT) == 1
@@ -403,31 +398,26 @@ def test_an_agent_that_streams_keeps_the_computer_awake_until_it_ends(
 @pytest.mark.nightly
 @needs_linux
 def test_an_agent_whose_device_is_absent_keeps_nothing_awake(
-    cli_process: StartCli, programs: Programs, until: Until, tmp_path: Path
+    programs: Programs, tmp_path: Path
 ) -> None:
     settings = tmp_path / "settings.toml"
     settings.write_text(f'[[device]]\nsensor = "zephyr"\nunit = "1"\nport = "{tmp_path}/tty"\n')
     with cli_process(tmp_path, "run", "--settings", str(settings)):
-        reports(until, tmp_path, "discovering")
+        reports(tmp_path, "discovering")
     assert programs.calls == []
 
 
 @pytest.mark.nightly
 @needs_linux
 def test_the_settings_switch_it_off(
-    cli_process: StartCli,
     programs: Programs,
-    until: Until,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("BIOSENSOR_GATEWAY_POWER__KEEP_AWAKE", "false")
     with cli_process(tmp_path, "run", "--simulate", "zephyr"):
-        reports(until, tmp_path, "streaming")
+        reports(tmp_path, "streaming")
     assert programs.calls == []
-
-
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 
 
 class _Bus(Protocol):
@@ -503,9 +493,7 @@ def awake(login: Login) -> Generator[KeepAwake]:
 
 @pytest.mark.nightly
 @needs_systemd
-async def test_systemd_inhibit_understands_what_it_is_told(
-    login: Login, awake: KeepAwake, eventually: Eventually
-) -> None:
+async def test_systemd_inhibit_understands_what_it_is_told(login: Login, awake: KeepAwake) -> None:
     with capture_logs() as logs:
         await eventually(held_until(awake, logs, KEPT))
         assert login.locked
@@ -516,9 +504,7 @@ async def test_systemd_inhibit_understands_what_it_is_told(
 
 @pytest.mark.nightly
 @needs_systemd
-async def test_a_refusal_of_logind_is_quoted(
-    login: Login, awake: KeepAwake, eventually: Eventually
-) -> None:
+async def test_a_refusal_of_logind_is_quoted(login: Login, awake: KeepAwake) -> None:
     login.refuses = True
     with capture_logs() as logs:
         await eventually(held_until(awake, logs, WARNED))
@@ -528,9 +514,7 @@ async def test_a_refusal_of_logind_is_quoted(
 
 @pytest.mark.nightly
 @needs_systemd
-async def test_the_lock_ends_with_an_agent_that_is_killed(
-    login: Login, cli_process: StartCli, eventually: Eventually, tmp_path: Path
-) -> None:
+async def test_the_lock_ends_with_an_agent_that_is_killed(login: Login, tmp_path: Path) -> None:
     with cli_process(tmp_path, "run", "--simulate", "zephyr") as agent:
         await eventually(lambda: KEPT in (tmp_path / "stderr.txt").read_text())
         assert login.locked

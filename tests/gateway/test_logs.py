@@ -5,9 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import logging
-import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +18,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_logs
+from tests.rigs.gateway import cli_process
 from tests.rigs.kept_logging import kept_logging
 
 if TYPE_CHECKING:
@@ -314,7 +313,6 @@ def test_without_a_console_the_file_is_written(
 
 # A run that does not come about says why in the log file: its window may be gone.
 Run = Callable[..., "Outcome"]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 _BREAK = """
 from biosensor_gateway.cli import agent_process
 def broken(*arguments):
@@ -368,9 +366,7 @@ def test_old_files_are_not_rotated_away(run: Run, state: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_a_mistake_of_ours_is_there_with_its_traceback(
-    cli_process: StartCli, tmp_path: Path
-) -> None:
+def test_a_mistake_of_ours_is_there_with_its_traceback(tmp_path: Path) -> None:
     arguments = ("run", "--simulate", "zephyr")
     with cli_process(tmp_path, *arguments, before=_BREAK) as process:
         assert process.wait(120.0) == 1

@@ -10,8 +10,8 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Mapping
-from contextlib import AbstractContextManager, suppress
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -46,15 +46,14 @@ from biosensor_gateway.streaming import markers, outlets
 from biosensor_gateway.streaming.markers import KEPT, MarkerStream
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.rigs.gateway import cli_process, inlet
+from tests.rigs.polling import eventually, wait_until
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "markers")
 BUTTONS = ("baseline", "stimulus on")
-
-OpenInlet = Callable[[str], pylsl.StreamInlet]
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 
 
 class Desk:
@@ -98,19 +97,19 @@ async def desk(virtual_clock: Clock) -> AsyncGenerator[Desk]:
     await running.stream.end()
 
 
-async def listened_to(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> Desk:
+async def listened_to(desk: Desk) -> Desk:
     desk.listen(await asyncio.to_thread(inlet, SOURCE))
     await eventually(lambda: desk.stream.is_received)
     return desk
 
 
 @pytest.fixture
-async def heard_desk(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> Desk:
-    return await listened_to(desk, inlet, eventually)
+async def heard_desk(desk: Desk) -> Desk:
+    return await listened_to(desk)
 
 
 @pytest.mark.nightly
-async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventually) -> None:
+async def test_a_marker_says_all_of_itself(heard_desk: Desk) -> None:
     now = heard_desk.stream.clock()
     at = now - 2.5
     pressed = {"marker": "baseline", "note": "", "kind": "button", "source": "page", "at": at}
@@ -140,9 +139,7 @@ async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventua
 
 
 @pytest.mark.nightly
-async def test_stamps_never_run_back_and_the_text_says_when_it_was(
-    heard_desk: Desk, eventually: Eventually
-) -> None:
+async def test_stamps_never_run_back_and_the_text_says_when_it_was(heard_desk: Desk) -> None:
     now = heard_desk.stream.clock()
     times = [now - 1.0, now - 30.0, now + 0.05, now]
     for at in times:
@@ -155,7 +152,7 @@ async def test_stamps_never_run_back_and_the_text_says_when_it_was(
 
 
 @pytest.mark.nightly
-async def test_an_undo_marks_and_deletes_nothing(heard_desk: Desk, eventually: Eventually) -> None:
+async def test_an_undo_marks_and_deletes_nothing(heard_desk: Desk) -> None:
     for name in ("a", "b", "c"):
         await heard_desk.ask("mark", marker=name)
     assert await heard_desk.ask("undo-marker", id=1) == {"id": 4, "of": 1}
@@ -259,7 +256,7 @@ async def test_an_id_is_a_whole_number(desk: Desk, number: object) -> None:
 
 
 @pytest.mark.nightly
-async def test_the_longest_marker_arrives_whole(heard_desk: Desk, eventually: Eventually) -> None:
+async def test_the_longest_marker_arrives_whole(heard_desk: Desk) -> None:
     longest = "\U0001f600" * MAX_TEXT
     await heard_desk.ask("mark", marker=longest, note=longest)
     await eventually(heard_desk.has(1))
@@ -268,9 +265,7 @@ async def test_the_longest_marker_arrives_whole(heard_desk: Desk, eventually: Ev
 
 
 @pytest.mark.seam
-async def test_whoever_begins_to_receive_gets_a_marker_at_once(
-    desk: Desk, inlet: OpenInlet, eventually: Eventually
-) -> None:
+async def test_whoever_begins_to_receive_gets_a_marker_at_once(desk: Desk) -> None:
     def ticks_until(condition: Callable[[], bool]) -> Callable[[], bool]:
         return lambda: desk.stream.tick(desk.stream.clock()) is None and condition()
 
@@ -297,9 +292,7 @@ async def test_whoever_begins_to_receive_gets_a_marker_at_once(
 
 
 @pytest.mark.nightly
-async def test_whoever_gets_another_marker_first_gets_only_that(
-    heard_desk: Desk, eventually: Eventually
-) -> None:
+async def test_whoever_gets_another_marker_first_gets_only_that(heard_desk: Desk) -> None:
     await heard_desk.ask("mark", marker="m")
     heard_desk.stream.tick(heard_desk.stream.clock())
     await heard_desk.ask("mark", marker="n")
@@ -308,13 +301,11 @@ async def test_whoever_gets_another_marker_first_gets_only_that(
 
 
 @pytest.mark.nightly
-async def test_a_marker_that_nobody_receives_is_said(
-    desk: Desk, inlet: OpenInlet, eventually: Eventually
-) -> None:
+async def test_a_marker_that_nobody_receives_is_said(desk: Desk) -> None:
     with capture_logs() as logs:
         assert (await desk.ask("mark", marker="m"))["received"] is False
         assert [each["event"] for each in logs] == ["a marker was sent that no program receives"]
-        await listened_to(desk, inlet, eventually)
+        await listened_to(desk)
         assert "received" not in await desk.ask("mark", marker="m")
         assert len(logs) == 1
     listed = (await desk.ask("markers"))["markers"]
@@ -347,13 +338,13 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
 
 @pytest.mark.nightly
 async def test_the_last_marker_is_heard_though_the_outlet_goes(
-    inlet: OpenInlet, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # In real time, in which LSL sends; its threads may be held up for longer than a person waits.
     monkeypatch.setattr(markers, "LINGER_S", 1.5)
     desk = Desk(LSL_CLOCK)
     desk.stream.open()
-    await listened_to(desk, inlet, eventually)
+    await listened_to(desk)
     listening = asyncio.ensure_future(eventually(desk.has(1)))
     await desk.ask("mark", marker="m")
     await desk.stream.end()
@@ -401,8 +392,6 @@ def test_a_button_that_is_there_twice_is_named(tmp_path: Path) -> None:
 DEADLINE_S = 30.0
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 Run = Callable[..., "Outcome"]
 
 
@@ -418,9 +407,7 @@ def command(folder: Path, *arguments: str, columns: int = 80) -> tuple[int, str,
 
 
 @pytest.fixture
-def agent(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> Generator[subprocess.Popen[bytes]]:
+def agent(tmp_path: Path) -> Generator[subprocess.Popen[bytes]]:
     """An agent without devices; they have no part in it."""
     (tmp_path / "settings.toml").write_text('[markers]\nbuttons = ["baseline", "task"]\n')
     arguments = ("run", "--settings", str(tmp_path / "settings.toml"), "--no-ask")
@@ -431,14 +418,12 @@ def agent(
         return False
 
     with cli_process(tmp_path, *arguments) as process:
-        until(answers)
+        wait_until(answers)
         yield process
 
 
 @pytest.mark.seam
-def test_what_is_marked_undone_and_listed(
-    agent: subprocess.Popen[bytes], inlet: OpenInlet, until: Until, tmp_path: Path
-) -> None:
+def test_what_is_marked_undone_and_listed(agent: subprocess.Popen[bytes], tmp_path: Path) -> None:
     reader = inlet(SOURCE)
     heard: list[dict[str, Any]] = []
 
@@ -446,7 +431,7 @@ def test_what_is_marked_undone_and_listed(
         heard.extend(json.loads(row[0]) for row in reader.pull_chunk(timeout=0.0)[0])
         return len(heard) >= count
 
-    until(lambda: has(1))
+    wait_until(lambda: has(1))
     assert [each["kind"] for each in heard] == ["ready"]
     at = pylsl.local_clock()
     pressed = {"marker": "baseline", "note": "", "kind": "button", "source": "page", "at": at}
@@ -474,7 +459,7 @@ def test_what_is_marked_undone_and_listed(
     assert [row.split()[0] for row in rows[:3]] == ["2", "3", "4"]
     assert all(0 <= float(row.split()[1]) < 60 for row in rows[:3])
     assert rows[3] == "buttons: 1 baseline, 2 task"
-    until(lambda: has(6))
+    wait_until(lambda: has(6))
     assert [(each["id"], each["marker"], each["kind"]) for each in heard[1:]] == [
         (2, "baseline", "button"),
         (3, "task", "api"),
@@ -485,7 +470,7 @@ def test_what_is_marked_undone_and_listed(
     assert (heard[3]["note"], heard[3]["source"], heard[4]["of"]) == ("she moved", "command", 4)
     counted = pylsl.resolve_byprop("source_id", SOURCE.replace("markers", "counters"), timeout=10)
     counters = pylsl.StreamInlet(counted[0])
-    until(lambda: json.loads(counters.pull_sample()[0][0])[SOURCE]["pushed"] == len(heard))
+    wait_until(lambda: json.loads(counters.pull_sample()[0][0])[SOURCE]["pushed"] == len(heard))
     agent.send_signal(signal.SIGTERM)
     assert agent.wait(DEADLINE_S) == 0
     entries = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import traceback
-from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_logs
 from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs import file_keyring
+from tests.rigs.polling import eventually, wait_until
 
 pytestmark = pytest.mark.nightly
 
@@ -41,8 +42,6 @@ WRONG_SECRET = "planted-wrong-5e19d4"
 # Tokens of the virtual Cortex.
 TOKEN = re.compile(r"[0-9a-f]{24}\.[0-9a-f]{24}")
 QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
-
-Until = Callable[[Callable[[], bool]], None]
 
 
 @pytest.fixture
@@ -168,7 +167,6 @@ def quote(cortex: SteeredCortex) -> None:
 def test_an_agent_shows_no_secret_whatever_happens(
     cortex: SteeredCortex,
     start: Callable[..., Gateway],
-    until: Until,
     tmp_path: Path,
     origin: str,
 ) -> None:
@@ -179,14 +177,14 @@ def test_an_agent_shows_no_secret_whatever_happens(
         for name, text in (("client_id", CLIENT_ID), ("client_secret", CLIENT_SECRET)):
             file_keyring.put(path, f"biosensor-gateway/emotiv_insight.{name}", text)
     agent = start(environment)
-    until(lambda: agent.has_connected(1))
+    wait_until(lambda: agent.has_connected(1))
     quote(cortex)
-    until(lambda: "4711" in agent.log)
+    wait_until(lambda: "4711" in agent.log)
     cortex.expire_token()
     cortex.close_connections(1001)
-    until(lambda: agent.has_connected(2))
+    wait_until(lambda: agent.has_connected(2))
     cortex.apply(Fault(FaultKind.RESTART, 0.5))
-    until(lambda: agent.has_connected(3))
+    wait_until(lambda: agent.has_connected(3))
     assert cortex.calls.count("authorize") >= 2
     status = agent.ask("status", "--json") + agent.ask("status")
     assert '"streaming"' in status
@@ -201,10 +199,10 @@ def test_an_agent_shows_no_secret_whatever_happens(
 
 
 def test_rejected_secrets_are_not_quoted(
-    cortex: SteeredCortex, start: Callable[..., Gateway], until: Until
+    cortex: SteeredCortex, start: Callable[..., Gateway]
 ) -> None:
     agent = start({"EMOTIV_CLIENT_ID": CLIENT_ID, "EMOTIV_CLIENT_SECRET": WRONG_SECRET})
-    until(lambda: agent.device()["error"] is not None)
+    wait_until(lambda: agent.device()["error"] is not None)
     status = agent.ask("status", "--json") + agent.ask("status")
     assert "check the client id and secret" in status
     agent.abort()
@@ -235,7 +233,6 @@ async def test_a_crash_shows_no_secret(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     logging_as_before: None,
-    eventually: Callable[[Callable[[], bool]], Awaitable[None]],
     broken: str,
 ) -> None:
     """Something unexpected goes wrong with a request that a secret is in."""

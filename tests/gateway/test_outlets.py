@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
 from typing import Any
 from xml.etree.ElementTree import Element, fromstring
@@ -19,6 +19,8 @@ from biosensor_gateway.devices.zephyr import SPEC
 from biosensor_gateway.streaming import outlets as module
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
+from tests.rigs.gateway import inlet, visible
+from tests.rigs.polling import wait_until
 
 FORMATS = {
     "float32": pylsl.cf_float32,
@@ -30,8 +32,6 @@ FORMATS = {
 }
 INFO = DeviceInfo("Maker", "Model", "SN 1", "2.0")
 NAN, INF = math.nan, math.inf
-
-OpenInlet = Callable[[str], pylsl.StreamInlet]
 
 
 def outlet_of(unit: str, data_name: str, sensor_name: str = "zephyr") -> Outlet:
@@ -75,7 +75,7 @@ def attach_time(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_values_and_stamps_arrive_as_they_were_pushed(
-    unit: str, inlet: OpenInlet, data_name: str, samples: list[list[float]]
+    unit: str, data_name: str, samples: list[list[float]]
 ) -> None:
     outlet = outlet_of(unit, data_name)
     reader = inlet(outlet.source_id)
@@ -89,7 +89,7 @@ def test_values_and_stamps_arrive_as_they_were_pushed(
 
 
 @pytest.mark.nightly
-def test_one_channel_needs_no_second_dimension(unit: str, inlet: OpenInlet) -> None:
+def test_one_channel_needs_no_second_dimension(unit: str) -> None:
     outlet = outlet_of(unit, "ecg")
     reader = inlet(outlet.source_id)
     assert outlet.push([1, 2, 3], now(0, 0.004, 0.008)) is None
@@ -97,7 +97,7 @@ def test_one_channel_needs_no_second_dimension(unit: str, inlet: OpenInlet) -> N
 
 
 @pytest.mark.seam
-def test_text_arrives(unit: str, inlet: OpenInlet) -> None:
+def test_text_arrives(unit: str) -> None:
     outlet = outlet_of(unit, "counters", "gateway")
     reader = inlet(outlet.source_id)
     (stamp,) = now(0)
@@ -155,7 +155,7 @@ def test_an_integer_stream_takes_no_gaps_even_if_it_is_regular(unit: str) -> Non
 
 
 @pytest.mark.nightly
-def test_a_refusal_takes_nothing_from_what_follows(unit: str, inlet: OpenInlet) -> None:
+def test_a_refusal_takes_nothing_from_what_follows(unit: str) -> None:
     outlet = outlet_of(unit, "ecg")
     reader = inlet(outlet.source_id)
     first, second, third = now(-0.2, -0.1, 0)
@@ -180,7 +180,7 @@ def text_of(element: Element, path: str) -> str | None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("stream", SPEC.streams, ids=lambda stream: stream.data_name)
-def test_a_stream_describes_itself(unit: str, inlet: OpenInlet, stream: StreamSpec) -> None:
+def test_a_stream_describes_itself(unit: str, stream: StreamSpec) -> None:
     identity = DeviceIdentity("zephyr", unit, participant="p01", label=f"l{unit[:6]}")
     outlet = Outlet(stream, identity, INFO)
     info = inlet(outlet.source_id).info(20.0)
@@ -225,7 +225,7 @@ RATES = {"bpm": 0.1, "force": 10.0}
 
 
 @pytest.mark.nightly
-def test_outlets_survive_a_second_opening(device: DeviceOutlets, inlet: OpenInlet) -> None:
+def test_outlets_survive_a_second_opening(device: DeviceOutlets) -> None:
     device.open(DeviceInfo(), RATES)
     force, reader = device["force"], inlet(device["force"].source_id)
     force.push([1.0], now(0))
@@ -239,7 +239,7 @@ def test_outlets_survive_a_second_opening(device: DeviceOutlets, inlet: OpenInle
 
 @pytest.mark.nightly
 def test_only_the_outlet_whose_rate_changed_is_rebuilt_under_its_source_id(
-    device: DeviceOutlets, inlet: OpenInlet
+    device: DeviceOutlets,
 ) -> None:
     device.open(DeviceInfo(), RATES)
     before = {name: device[name] for name in ("bpm", "force", "bat")}
@@ -265,9 +265,7 @@ def test_expected_outlets_are_kept_if_the_device_is_as_it_was(device: DeviceOutl
 
 
 @pytest.mark.nightly
-def test_expected_outlets_are_replaced_if_the_device_is_another(
-    device: DeviceOutlets, inlet: OpenInlet
-) -> None:
+def test_expected_outlets_are_replaced_if_the_device_is_another(device: DeviceOutlets) -> None:
     assert device.expect(KNOWN, RATES)
     before = inlet(device["bat"].source_id).info(20.0).uid()
     assert device.open(DeviceInfo(firmware_version="2.5"), RATES | {"force": 20.0}) == {
@@ -287,9 +285,7 @@ def test_nothing_is_expected_without_the_rates_that_a_device_sets(device: Device
 
 
 @pytest.mark.nightly
-def test_the_declaration_fills_what_the_device_does_not_say(
-    device: DeviceOutlets, inlet: OpenInlet
-) -> None:
+def test_the_declaration_fills_what_the_device_does_not_say(device: DeviceOutlets) -> None:
     device.open(DeviceInfo(serial_number="0K2"), RATES)
     xml = inlet(device["bat"].source_id).info(20.0).as_xml()
     acquisition = fromstring(xml).find("desc/acquisition")
@@ -301,19 +297,17 @@ def test_the_declaration_fills_what_the_device_does_not_say(
 
 
 @pytest.mark.seam
-def test_closing_makes_the_streams_vanish(
-    device: DeviceOutlets, visible: Callable[[str], bool], until: Callable[..., None]
-) -> None:
+def test_closing_makes_the_streams_vanish(device: DeviceOutlets) -> None:
     device.open(DeviceInfo(), RATES)
     source_id = device["force"].source_id
-    until(lambda: visible(source_id))
+    wait_until(lambda: visible(source_id))
     device.close()
-    until(lambda: not visible(source_id))
+    wait_until(lambda: not visible(source_id))
     assert device.counters == {}
 
 
 @pytest.mark.seam
-def test_states_wait_for_a_receiver(unit: str, inlet: OpenInlet) -> None:
+def test_states_wait_for_a_receiver(unit: str) -> None:
     outlet = outlet_of(unit, "bat")
     stamps = now(0.0, 0.1)
     for value, stamp in zip((81.0, 80.0), stamps, strict=True):
@@ -327,9 +321,7 @@ def test_states_wait_for_a_receiver(unit: str, inlet: OpenInlet) -> None:
 
 
 @pytest.mark.nightly
-def test_states_leave_time_to_attach(
-    unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_states_leave_time_to_attach(unit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ATTACH_TIME_S", 3600.0)
     outlet = outlet_of(unit, "rssi")
     reader = inlet(outlet.source_id)
@@ -340,7 +332,7 @@ def test_states_leave_time_to_attach(
 
 
 @pytest.mark.nightly
-def test_waiting_states_come_before_later_ones(unit: str, inlet: OpenInlet) -> None:
+def test_waiting_states_come_before_later_ones(unit: str) -> None:
     outlet = outlet_of(unit, "bat")
     stamps = now(0.0, 0.1)
     outlet.push([50.0], stamps[:1])
@@ -365,7 +357,7 @@ def test_a_declared_state_waits_whatever_its_type(unit: str) -> None:
 
 @pytest.mark.seam
 def test_after_a_kill_samples_wait_for_those_who_return(
-    unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
+    unit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "RETURN_TIME_S", 0.0)
     monkeypatch.setattr(module, "LATEST_RETURN_S", 3600.0)
@@ -383,7 +375,7 @@ def test_after_a_kill_samples_wait_for_those_who_return(
 
 @pytest.mark.nightly
 def test_who_returns_first_does_not_take_it_from_the_others(
-    unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
+    unit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "RETURN_TIME_S", 3600.0)
     outlet = outlet_of(unit, "ecg")

@@ -6,7 +6,7 @@ import asyncio
 import json
 import os
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -34,11 +34,11 @@ from biosensor_gateway.streaming import outlets as outlets_module
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.streaming.stages import RESUME_GUARD_S, PauseGate
+from tests.rigs.gateway import inlet
+from tests.rigs.polling import wait_until
 
 # What a pause holds back, sample by sample: real outlets, real inlets.
 
-OpenInlet = Callable[[str], pylsl.StreamInlet]
-Until = Callable[[Callable[[], bool]], None]
 AHEAD_S = 20.0
 """Stamps so far ahead are still on the LSL clock; so tests need not wait for a guard to end."""
 
@@ -59,7 +59,7 @@ def counters(sink: DeviceSink, data_name: str) -> Counters:
     return sink.counters[source(sink, data_name)]
 
 
-def pulled(reader: pylsl.StreamInlet, until: Until, last: object) -> list[object]:
+def pulled(reader: pylsl.StreamInlet, last: object) -> list[object]:
     """Return the first channel of all that comes up to a value."""
     values: list[object] = []
 
@@ -68,14 +68,12 @@ def pulled(reader: pylsl.StreamInlet, until: Until, last: object) -> list[object
         values.extend(row[0] for row in samples)
         return last in values
 
-    until(has_come)
+    wait_until(has_come)
     return values
 
 
 @pytest.mark.nightly
-def test_not_one_sample_of_a_pause_is_sent(
-    sink: DeviceSink, inlet: OpenInlet, until: Until
-) -> None:
+def test_not_one_sample_of_a_pause_is_sent(sink: DeviceSink) -> None:
     reader = inlet(source(sink, "bvp"))
     sink.emit_at("bvp", [1.0, 2.0], [pylsl.local_clock() - 0.2, pylsl.local_clock() - 0.1])
     before_s = pylsl.local_clock()
@@ -90,16 +88,14 @@ def test_not_one_sample_of_a_pause_is_sent(
     sink.emit_at("bvp", [6.0, 7.0], [before_s + 1e-4, guard_ends_s - 0.1])
     # Of one packet, what was measured later is sent.
     sink.emit_at("bvp", [8.0, 9.0, 10.0], [after_s, guard_ends_s, guard_ends_s + 0.1])
-    assert pulled(reader, until, 10.0) == [1.0, 2.0, 9.0, 10.0]
+    assert pulled(reader, 10.0) == [1.0, 2.0, 9.0, 10.0]
     counted = counters(sink, "bvp")
     assert (counted.pushed, counted.withheld, counted.refused, counted.lost) == (4, 6, 0, 0)
     assert counted.last_stamp == guard_ends_s + 0.1
 
 
 @pytest.mark.nightly
-def test_withheld_samples_do_not_move_the_stamps_of_those_after(
-    sink: DeviceSink, inlet: OpenInlet
-) -> None:
+def test_withheld_samples_do_not_move_the_stamps_of_those_after(sink: DeviceSink) -> None:
     reader = inlet(source(sink, "bvp"))
     sink.pause()
     now = pylsl.local_clock()
@@ -120,7 +116,7 @@ def test_samples_of_several_channels_are_withheld_whole(
 
 
 @pytest.mark.nightly
-def test_text_is_withheld_as_well(sink: DeviceSink, inlet: OpenInlet, until: Until) -> None:
+def test_text_is_withheld_as_well(sink: DeviceSink) -> None:
     reader = inlet(source(sink, "tag"))
     now = pylsl.local_clock()
     sink.observe(now, now)
@@ -131,13 +127,13 @@ def test_text_is_withheld_as_well(sink: DeviceSink, inlet: OpenInlet, until: Unt
     sink.resume()
     sink.emit_text("tag", "in work", pylsl.local_clock())
     sink.emit_text("tag", "after", pylsl.local_clock() + RESUME_GUARD_S + 0.1)
-    assert pulled(reader, until, "after") == ["before", "after"]
+    assert pulled(reader, "after") == ["before", "after"]
     assert (counters(sink, "tag").pushed, counters(sink, "tag").withheld) == (2, 3)
 
 
 @pytest.mark.nightly
 def test_states_that_wait_for_a_receiver_are_withdrawn_too(
-    monkeypatch: pytest.MonkeyPatch, unit: str, inlet: OpenInlet, until: Until
+    monkeypatch: pytest.MonkeyPatch, unit: str
 ) -> None:
     monkeypatch.setattr(outlets_module, "ATTACH_TIME_S", 0.0)
     sink = DeviceSink(DeviceIdentity("empatica_e4", unit), declaration("empatica_e4"))
@@ -156,8 +152,8 @@ def test_states_that_wait_for_a_receiver_are_withdrawn_too(
         sink.release()
         return counters(sink, "bat").pushed == 1
 
-    until(released)
-    assert pulled(reader, until, 73.0) == [73.0]
+    wait_until(released)
+    assert pulled(reader, 73.0) == [73.0]
     assert counters(sink, "bat").withheld == 2
     sink.close()
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Generator
-from contextlib import AbstractAsyncContextManager, AbstractContextManager, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,8 @@ from biosensor_gateway.streaming.stages import RESUME_GUARD_S
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.bluetooth import virtual_world
 from tests.rigs.driver_run import Run, streaming
-from tests.rigs.polling import until
+from tests.rigs.gateway import cli_process, inlet
+from tests.rigs.polling import until, wait_until
 from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.nightly
@@ -47,10 +48,6 @@ NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-ga
 DEADLINE_S = 30.0
 # More than can wait in an inlet while the commands run.
 ALL_SAMPLES = 1 << 16
-
-OpenInlet = Callable[[str], pylsl.StreamInlet]
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
 
 def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
@@ -92,17 +89,14 @@ def run(tmp_path: Path, harness: SteeredBioHarness, unit: str) -> tuple[str, ...
 
 @pytest.mark.seam
 def test_a_participant_withdraws_and_comes_back(
-    cli_process: StartCli,
-    until: Until,
-    inlet: OpenInlet,
     tmp_path: Path,
     run: tuple[str, ...],
     unit: str,
 ) -> None:
     with cli_process(tmp_path, *run) as agent:
-        until(lambda: counted(tmp_path, "pushed") > 0)
+        wait_until(lambda: counted(tmp_path, "pushed") > 0)
         reader = inlet("p01@zephyr-ecg")
-        until(lambda: bool(reader.pull_chunk(timeout=0.0)[1]))
+        wait_until(lambda: bool(reader.pull_chunk(timeout=0.0)[1]))
         assert command(tmp_path, "pause", "zephyr") == (
             0,
             (
@@ -112,12 +106,12 @@ def test_a_participant_withdraws_and_comes_back(
             "",
         )
         answered_s = pylsl.local_clock()
-        until(lambda: device(tmp_path)["paused"])
+        wait_until(lambda: device(tmp_path)["paused"])
         assert device(tmp_path)["state"] == "streaming"
         shown = command(tmp_path, "status")[1]
         assert f"p01 zephyr ({unit}): paused (streaming)" in " ".join(shown.split())
         withheld = counted(tmp_path, "withheld")
-        until(lambda: counted(tmp_path, "withheld") > withheld + 500)
+        wait_until(lambda: counted(tmp_path, "withheld") > withheld + 500)
         before = reader.pull_chunk(timeout=0.0, max_samples=ALL_SAMPLES)[1]
         assert all(stamp < answered_s for stamp in before)
         assert command(tmp_path, "pause", "p01")[:2] == (
@@ -135,9 +129,9 @@ def test_a_participant_withdraws_and_comes_back(
             "",
         )
         stamps: list[float] = []
-        until(lambda: bool(stamps.extend(reader.pull_chunk(timeout=0.0)[1]) or stamps))
+        wait_until(lambda: bool(stamps.extend(reader.pull_chunk(timeout=0.0)[1]) or stamps))
         assert stamps[0] > resumed_s
-        until(lambda: counted(tmp_path, "pushed") > sent)
+        wait_until(lambda: counted(tmp_path, "pushed") > sent)
         assert not device(tmp_path)["paused"]
         assert device(tmp_path)["connections"] == 1
         assert counted(tmp_path, "lost") == 0
@@ -149,43 +143,41 @@ def test_a_participant_withdraws_and_comes_back(
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
 def test_who_has_withdrawn_is_not_streamed_by_the_next_agent(
-    cli_process: StartCli,
-    until: Until,
     tmp_path: Path,
     run: tuple[str, ...],
     unit: str,
     end: signal.Signals,
 ) -> None:
     with cli_process(tmp_path, *run) as first:
-        until(lambda: counted(tmp_path, "pushed") > 0)
+        wait_until(lambda: counted(tmp_path, "pushed") > 0)
         assert command(tmp_path, "pause", "p01")[0] == 0
         first.send_signal(end)
         first.wait()
     (tmp_path / status_file.STATUS_FILE).unlink(missing_ok=True)
     with cli_process(tmp_path, *run) as second:
-        until(lambda: counted(tmp_path, "withheld") > 500)
+        wait_until(lambda: counted(tmp_path, "withheld") > 500)
         assert (counted(tmp_path, "pushed"), counted(tmp_path, "lost")) == (0, 0)
         said = (tmp_path / LOG_FILE_NAME).read_text()
         assert f"biosensor-gateway resume zephyr/{unit}" in said
         assert "is paused" in (tmp_path / "stderr.txt").read_text()
         assert command(tmp_path, "resume", "p01")[0] == 0
-        until(lambda: counted(tmp_path, "pushed") > 0)
+        wait_until(lambda: counted(tmp_path, "pushed") > 0)
         second.send_signal(signal.SIGTERM)
         assert second.wait(DEADLINE_S) == 0
     with cli_process(tmp_path, *run) as third:
-        until(lambda: counted(tmp_path, "pushed") > 0)
+        wait_until(lambda: counted(tmp_path, "pushed") > 0)
         third.send_signal(signal.SIGTERM)
         assert third.wait(DEADLINE_S) == 0
 
 
 def test_names_that_are_none_or_several_are_refused_in_one_sentence(
-    cli_process: StartCli, until: Until, tmp_path: Path, run: tuple[str, ...], unit: str
+    tmp_path: Path, run: tuple[str, ...], unit: str
 ) -> None:
     more = '[[device]]\nsensor = "zephyr"\nunit = "other"\nport = "nowhere"\n'
     path = Path(run[-1])
     path.write_text(path.read_text() + more)
     with cli_process(tmp_path, *run) as agent:
-        until(lambda: counted(tmp_path, "pushed") > 0)
+        wait_until(lambda: counted(tmp_path, "pushed") > 0)
         assert command(tmp_path, "pause", "zephyr") == (
             1,
             "",
@@ -205,7 +197,7 @@ def test_names_that_are_none_or_several_are_refused_in_one_sentence(
         assert not device(tmp_path)["paused"]
         # One that was never connected can be paused as well.
         assert command(tmp_path, "pause", "zephyr/other")[0] == 0
-        until(lambda: status_file.read_status(tmp_path)["devices"][1]["paused"])
+        wait_until(lambda: status_file.read_status(tmp_path)["devices"][1]["paused"])
         agent.send_signal(signal.SIGINT)
         assert agent.wait(DEADLINE_S) == 0
 
@@ -217,10 +209,10 @@ def test_without_an_agent_it_says_so(tmp_path: Path) -> None:
 
 
 def test_a_pause_that_cannot_be_kept_holds_and_is_said(
-    cli_process: StartCli, until: Until, tmp_path: Path, run: tuple[str, ...], unit: str
+    tmp_path: Path, run: tuple[str, ...], unit: str
 ) -> None:
     with cli_process(tmp_path, *run) as agent:
-        until(lambda: counted(tmp_path, "pushed") > 0)
+        wait_until(lambda: counted(tmp_path, "pushed") > 0)
         # A folder cannot be replaced by a file.
         (tmp_path / PAUSED_FILE).mkdir()
         code, out, err = command(tmp_path, "pause", "zephyr")
@@ -228,7 +220,7 @@ def test_a_pause_that_cannot_be_kept_holds_and_is_said(
         assert err.count("\n") == 1
         assert str(tmp_path / PAUSED_FILE) in err
         assert "a new start of the agent would stream it again" in err
-        until(lambda: device(tmp_path)["paused"])
+        wait_until(lambda: device(tmp_path)["paused"])
         agent.send_signal(signal.SIGINT)
         assert agent.wait(DEADLINE_S) == 0
 
@@ -300,7 +292,7 @@ def radio(virtual_world: World) -> Generator[Radio]:
 
 
 @pytest.fixture
-def stage(radio: Radio, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch) -> Open:
+def stage(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> Open:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
 
     @asynccontextmanager
@@ -397,7 +389,6 @@ async def test_of_a_drop_out_that_outlasts_the_pause_only_the_end_is_lost(
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
 DEVICE = {"sensor": "zephyr", "unit": "virtual"}
 DROP_S = 3.0
-OpenedInlet = Callable[..., pylsl.StreamInlet]
 
 
 def lost_by_status(folder: Path) -> dict[str, int]:
@@ -407,9 +398,7 @@ def lost_by_status(folder: Path) -> dict[str, int]:
     return {name: count for name, count in lost.items() if count}
 
 
-def test_a_drop_out_explains_itself(
-    cli_process: StartCli, inlet: OpenedInlet, until: Until, tmp_path: Path
-) -> None:
+def test_a_drop_out_explains_itself(tmp_path: Path) -> None:
     heard: list[tuple[dict[str, Any], float]] = []
     settings = ("run", "--simulate", "zephyr", "--fault", f"drop:{DROP_S:g}s@15s")
     with cli_process(tmp_path, *settings) as agent:
@@ -421,16 +410,16 @@ def test_a_drop_out_explains_itself(
             heard.extend(zip(map(json.loads, texts), stamps, strict=True))
             return {*kinds} <= {event["event"] for event, _ in heard}
 
-        until(lambda: has("heartbeat", "disconnected", "gap_start", "connected", "gap_end"))
+        wait_until(lambda: has("heartbeat", "disconnected", "gap_start", "connected", "gap_end"))
 
         def announced() -> Counter[str]:
             has()
             return sum((Counter[str](each.get("lost", {})) for each, _ in heard), Counter[str]())
 
         # A slow stream may be told behind the others, in a gap of its own.
-        until(lambda: announced() == Counter(lost_by_status(tmp_path)))
+        wait_until(lambda: announced() == Counter(lost_by_status(tmp_path)))
         agent.send_signal(signal.SIGTERM)
-        until(lambda: has("agent_stopped"))
+        wait_until(lambda: has("agent_stopped"))
         assert agent.wait(DEADLINE_S) == 0
         assert "Traceback" not in (tmp_path / "stderr.txt").read_text()
 

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +20,8 @@ import pytest
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import control, status_file
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.rigs.gateway import cli_process, inlet, visible
+from tests.rigs.polling import wait_until
 from tests.rigs.terminal import at_terminal
 from tests.rigs.zephyr import SteeredBioHarness
 
@@ -27,10 +29,6 @@ pytestmark = pytest.mark.nightly
 
 ALL_SAMPLES = 1 << 16
 RATE_HZ = 250.0
-
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
-OpenInlet = Callable[[str], pylsl.StreamInlet]
 
 
 class Outcome(NamedTuple):
@@ -116,10 +114,6 @@ def events(inlet: pylsl.StreamInlet) -> list[dict[str, Any]]:
 
 @pytest.mark.seam
 def test_what_is_the_same_streams_on_without_a_gap(
-    cli_process: StartCli,
-    until: Until,
-    inlet: OpenInlet,
-    visible: Callable[[str], bool],
     tmp_path: Path,
     unit: str,
     ports: Callable[[int], list[str]],
@@ -130,7 +124,7 @@ def test_what_is_the_same_streams_on_without_a_gap(
     gone, renamed, *same, new = several
     path = settings(gone, renamed, *same)
     with cli_process(tmp_path, "run", "--settings", str(path), "--no-ask"):
-        until(lambda: are_streaming(tmp_path, [each.unit for each in several[:-1]]))
+        wait_until(lambda: are_streaming(tmp_path, [each.unit for each in several[:-1]]))
         told = inlet(f"gateway-{socket.gethostname()}-events")
         ecg = {each.unit: inlet(f"zephyr-{each.unit}-ecg") for each in same}
         for reader in ecg.values():
@@ -144,10 +138,10 @@ def test_what_is_the_same_streams_on_without_a_gap(
             f"zephyr/{gone.unit} was removed",
             f"zephyr/{renamed.unit} was started again: its entry was changed",
         ]
-        until(lambda: are_streaming(tmp_path, [renamed.unit, new.unit]))
+        wait_until(lambda: are_streaming(tmp_path, [renamed.unit, new.unit]))
         assert list(devices(tmp_path)) == [each.unit for each in (renamed, *same, new)]
         assert devices(tmp_path)[renamed.unit]["participant"] == "p07"
-        until(lambda: not visible(f"zephyr-{gone.unit}-ecg"))
+        wait_until(lambda: not visible(f"zephyr-{gone.unit}-ecg"))
 
         happened = events(told)
         assert not [each for each in happened if each["event"].startswith("gap")]
@@ -167,8 +161,6 @@ def test_what_is_the_same_streams_on_without_a_gap(
 
 
 def test_a_broken_file_changes_nothing_and_is_explained_with_its_line(
-    cli_process: StartCli,
-    until: Until,
     tmp_path: Path,
     unit: str,
     ports: Callable[[int], list[str]],
@@ -179,7 +171,7 @@ def test_a_broken_file_changes_nothing_and_is_explained_with_its_line(
     entry = Entry(unit, port)
     path = settings(entry)
     with cli_process(tmp_path, "run", "--settings", str(path), "--no-ask"):
-        until(lambda: are_streaming(tmp_path, [unit]))
+        wait_until(lambda: are_streaming(tmp_path, [unit]))
         for extra, line in (("prot = 7", 5), ("port =", 5)):
             settings(entry._replace(extra=extra))
             answer = reload()
@@ -198,12 +190,10 @@ def test_a_broken_file_changes_nothing_and_is_explained_with_its_line(
         assert "[lsl] holds from the next start" in reload().out
         settings(entry._replace(extra="enabled = false"))
         assert reload().out == f"zephyr/{unit} was removed\n"
-        until(lambda: devices(tmp_path) == {})
+        wait_until(lambda: devices(tmp_path) == {})
 
 
 def test_who_has_withdrawn_stays_so_when_the_entry_comes_back(
-    cli_process: StartCli,
-    until: Until,
     tmp_path: Path,
     unit: str,
     ports: Callable[[int], list[str]],
@@ -213,7 +203,7 @@ def test_who_has_withdrawn_stays_so_when_the_entry_comes_back(
     (port,) = ports(1)
     path = settings(Entry(unit, port))
     with cli_process(tmp_path, "run", "--settings", str(path), "--no-ask"):
-        until(lambda: are_streaming(tmp_path, [unit]))
+        wait_until(lambda: are_streaming(tmp_path, [unit]))
         pause = [sys.executable, "-m", "biosensor_gateway.cli", "pause", f"zephyr/{unit}"]
         subprocess.run(
             pause, env=os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)}, check=True
@@ -221,19 +211,19 @@ def test_who_has_withdrawn_stays_so_when_the_entry_comes_back(
         settings()
         assert reload().out == f"zephyr/{unit} was removed\n"
         # Or what the status file tells may be of the entry that is gone.
-        until(lambda: devices(tmp_path) == {})
+        wait_until(lambda: devices(tmp_path) == {})
         settings(Entry(unit, port))
         assert reload().out == f"zephyr/{unit} was added\n"
-        until(lambda: devices(tmp_path).get(unit, {}).get("state") == "streaming")
-        until(lambda: devices(tmp_path)[unit]["paused"])
+        wait_until(lambda: devices(tmp_path).get(unit, {}).get("state") == "streaming")
+        wait_until(lambda: devices(tmp_path)[unit]["paused"])
         assert not are_streaming(tmp_path, [unit])
 
 
 def test_virtual_devices_have_no_file_to_read(
-    cli_process: StartCli, until: Until, tmp_path: Path, reload: Callable[[], Outcome]
+    tmp_path: Path, reload: Callable[[], Outcome]
 ) -> None:
     with cli_process(tmp_path, "run", "--simulate", "zephyr"):
-        until(lambda: devices(tmp_path) != {})
+        wait_until(lambda: devices(tmp_path) != {})
         answer = reload()
         assert (answer.code, answer.out) == (1, "")
         assert "virtual devices, which have no settings file" in answer.err

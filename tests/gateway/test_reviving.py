@@ -32,12 +32,12 @@ from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.silence import Remedy, Silence
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import Clock
+from tests.rigs.polling import eventually
 
 # What is done about silent streams, where it shows, and that it ends.
 
 LIMIT_S = 0.2
 LONG_S = 3600.0
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 
 
 class Sender:
@@ -151,7 +151,7 @@ Start = Callable[..., Awaitable[SupervisedDriver]]
 
 @pytest.fixture
 async def start(
-    unit: str, virtual_clock: Clock, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+    unit: str, virtual_clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncGenerator[Start]:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.01)
     monkeypatch.setattr(supervisor, "TICK_S", 0.01)
@@ -185,7 +185,7 @@ def announced(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[dict[str, Any]]]
 
 
 async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
-    start: Start, eventually: Eventually, announced: list[dict[str, Any]]
+    start: Start, announced: list[dict[str, Any]]
 ) -> None:
     bench = await start(SilenceRecovery)
     reasons: list[DeviceStatus] = []
@@ -210,7 +210,7 @@ async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
 
 
 async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
-    start: Start, eventually: Eventually, announced: list[dict[str, Any]]
+    start: Start, announced: list[dict[str, Any]]
 ) -> None:
     bench = await start(SilenceRecovery)
     with capture_logs() as logs:
@@ -240,9 +240,7 @@ async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
     assert announced[-1]["event"] == "streams_back"
 
 
-async def test_a_driver_without_the_hook_is_connected_again(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_a_driver_without_the_hook_is_connected_again(start: Start) -> None:
     bench = await start(Sender)
     bench.sends_after_new_connection = {"hr", "ibi"}
     bench.sends = set()
@@ -251,9 +249,7 @@ async def test_a_driver_without_the_hook_is_connected_again(
     await eventually(lambda: bench.status().error is None)
 
 
-async def test_the_reason_outlives_connections_that_bring_nothing(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_the_reason_outlives_connections_that_bring_nothing(start: Start) -> None:
     bench = await start(SilenceRecovery)
     bench.sends = set()
     await eventually(lambda: bench.supervisor.connections == 3)
@@ -262,9 +258,7 @@ async def test_the_reason_outlives_connections_that_bring_nothing(
         await asyncio.sleep(LIMIT_S / 20)
 
 
-async def test_a_device_that_refuses_to_be_enabled_is_connected_again(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_a_device_that_refuses_to_be_enabled_is_connected_again(start: Start) -> None:
     bench = await start(SilenceRecovery)
     bench.refusal = ProtocolError(ProtocolReason.NO_REPLY, "the device does not answer")
     bench.sends_after_new_connection = {"hr", "ibi"}
@@ -279,7 +273,7 @@ async def test_a_device_that_refuses_to_be_enabled_is_connected_again(
 
 
 async def test_what_the_device_refuses_is_said_until_it_comes(
-    start: Start, eventually: Eventually, announced: list[dict[str, Any]]
+    start: Start, announced: list[dict[str, Any]]
 ) -> None:
     with capture_logs() as logs:
         bench = await start(Sender, ecg="no room", acc="it is full", quality="no room")
@@ -318,9 +312,7 @@ async def test_what_the_device_refuses_is_said_until_it_comes(
     assert {each["log_level"] for each in logs if "refuses" in each["event"]} == {"warning"}
 
 
-async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(start: Start) -> None:
     bench = await start(SilenceRecovery)
     # Of the hours before, with data among it.
     bench.sink.dropped_bytes += 5000
@@ -337,16 +329,12 @@ async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(
     assert bench.states.count(State.STREAMING) == 1
 
 
-async def test_a_device_that_is_silent_at_last_says_what_came_of_it(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_a_device_that_is_silent_at_last_says_what_came_of_it(start: Start) -> None:
     bench = await start(Silent)
     await eventually(lambda: "nothing from the device for 0 s (9 bytes came that" in bench.reason)
 
 
-async def test_nobody_misses_what_a_pause_would_withhold(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_nobody_misses_what_a_pause_would_withhold(start: Start) -> None:
     bench = await start(SilenceRecovery)
     bench.sink.pause()
     bench.sends = set()

@@ -10,7 +10,6 @@ import sys
 import textwrap
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,13 +36,14 @@ from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
+from tests.rigs.gateway import cli_process
 from tests.rigs.lab_client import LabProcess, settings_toml
+from tests.rigs.polling import wait_until
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
 Run = Callable[..., "Outcome"]
-Started = Callable[..., AbstractContextManager[subprocess.Popen[bytes]]]
 
 STRAPS = {
     "polar_h10": {"unit": "A1B2C3D4", "device": "A0:9E:1A:A1:B2:C3"},
@@ -258,8 +258,6 @@ def test_an_agent_connects_to_all_that_was_found(
     lab: LabProcess,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    cli_process: Started,
-    until: Callable[[Callable[[], bool]], None],
 ) -> None:
     for variable, text in lab.environment.items():
         monkeypatch.setenv(variable, text)
@@ -280,7 +278,7 @@ def test_an_agent_connects_to_all_that_was_found(
         return [device["state"] for device in devices]
 
     with cli_process(tmp_path, "run", "--settings", str(settings)):
-        until(lambda: status.exists() and states() == ["streaming"] * len(found))
+        wait_until(lambda: status.exists() and states() == ["streaming"] * len(found))
 
 
 LISTENING = """

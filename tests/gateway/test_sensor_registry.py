@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import AbstractContextManager
 from importlib import invalidate_caches
 from math import inf, nan
 from pathlib import Path
@@ -49,6 +48,8 @@ from biosensor_gateway.simulation.faults import (
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.rigs.gateway import cli_process
+from tests.rigs.polling import wait_until
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -189,8 +190,6 @@ def test_a_built_in_sensor_cannot_be_replaced(install: Install) -> None:
 
 # Virtual devices with faults, as the command line asks for them.
 Run = Callable[..., "Outcome"]
-Until = Callable[[Callable[[], bool]], None]
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 _UNITS = {
     FaultKind.GARBAGE: "",
     FaultKind.STEP_BACK: "",
@@ -436,9 +435,9 @@ def device(world: World) -> Generator[Recording]:
 
 
 @pytest.mark.nightly
-def test_a_scheduled_fault_begins_and_ends_by_itself(device: Recording, until: Until) -> None:
+def test_a_scheduled_fault_begins_and_ends_by_itself(device: Recording) -> None:
     device.schedule(Fault(FaultKind.DROP, SHORT_S), SHORT_S)
-    until(lambda: len(device.told) == 2)
+    wait_until(lambda: len(device.told) == 2)
     assert device.told == ["begin drop 0.05", "end drop"]
     assert device.thread_names == {"virtual devices"}
 
@@ -458,11 +457,11 @@ def test_an_endless_fault_ends_when_it_is_cleared(device: Recording) -> None:
 
 
 @pytest.mark.nightly
-def test_a_cleared_fault_does_not_end_twice(device: Recording, until: Until) -> None:
+def test_a_cleared_fault_does_not_end_twice(device: Recording) -> None:
     device.apply(Fault(FaultKind.DROP, SHORT_S))
     device.clear(FaultKind.DROP)
     device.apply(Fault(FaultKind.STALL, 2 * SHORT_S))
-    until(lambda: device.told[-1] == "end stall")
+    wait_until(lambda: device.told[-1] == "end stall")
     assert device.told == ["begin drop 0.05", "end drop", "begin stall 0.1", "end stall"]
 
 
@@ -481,21 +480,21 @@ def test_different_faults_do_not_end_each_other(device: Recording) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("kind", [FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE])
-def test_what_acts_at_once_has_no_end(device: Recording, kind: FaultKind, until: Until) -> None:
+def test_what_acts_at_once_has_no_end(device: Recording, kind: FaultKind) -> None:
     device.apply(Fault(kind, 0.0))
     device.apply(Fault(FaultKind.DROP, SHORT_S))
-    until(lambda: device.told[-1] == "end drop")
+    wait_until(lambda: device.told[-1] == "end drop")
     device.clear(kind)
     assert device.told == [f"begin {kind.value} 0", "begin drop 0.05", "end drop"]
 
 
 @pytest.mark.nightly
 def test_late_answers_last_longer_than_they_are_late(
-    device: Recording, until: Until, monkeypatch: pytest.MonkeyPatch
+    device: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(virtual_device, "LATE_LASTS_S", 2 * SHORT_S)
     device.apply(Fault(FaultKind.LATE, 3600.0))
-    until(lambda: device.told == ["begin late 3600", "end late"])
+    wait_until(lambda: device.told == ["begin late 3600", "end late"])
 
 
 def test_a_device_has_no_faults_but_its_own(device: Recording) -> None:
@@ -508,9 +507,7 @@ def test_a_device_has_no_faults_but_its_own(device: Recording) -> None:
 
 
 @pytest.mark.seam
-def test_a_virtual_device_that_is_dropped_streams_again(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> None:
+def test_a_virtual_device_that_is_dropped_streams_again(tmp_path: Path) -> None:
     def polar() -> dict[str, Any]:
         with contextlib.suppress(ConfigError):
             (device,) = status_file.read_status(tmp_path)["devices"]
@@ -523,10 +520,10 @@ def test_a_virtual_device_that_is_dropped_streams_again(
     with cli_process(
         tmp_path, "run", "--simulate", "polar_h10", "--fault", "drop:3s@8s"
     ) as process:
-        until(lambda: pushed() > 0)
-        until(lambda: polar().get("connections") == 2)
+        wait_until(lambda: pushed() > 0)
+        wait_until(lambda: polar().get("connections") == 2)
         before = pushed()
-        until(lambda: polar().get("state") == "streaming" and pushed() > before)
+        wait_until(lambda: polar().get("state") == "streaming" and pushed() > before)
         assert process.poll() is None
     lines = (tmp_path / LOG_FILE_NAME).read_text(encoding="utf-8").splitlines()
     records = [json.loads(line) for line in lines]

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
+from collections.abc import AsyncGenerator, Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -21,6 +21,7 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.process_limits import raise_limit
 from biosensor_gateway.transports import serial_port as module
 from biosensor_gateway.transports.serial_port import SerialLink
+from tests.rigs.polling import eventually
 
 pytestmark = pytest.mark.nightly
 
@@ -33,8 +34,6 @@ print("held", flush=True)
 sys.stdin.read()
 """
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
-
 
 class Pty(Protocol):
     master: int
@@ -45,7 +44,7 @@ class Pty(Protocol):
 
 
 @pytest.fixture(autouse=True)
-async def no_thread_is_left(eventually: Eventually) -> AsyncGenerator[None]:
+async def no_thread_is_left() -> AsyncGenerator[None]:
     before = set(threading.enumerate())
     yield
     await eventually(lambda: set(threading.enumerate()) <= before)
@@ -80,9 +79,7 @@ async def open_error(port: str) -> TransportError:
 
 
 @pytest.mark.seam
-async def test_every_byte_value_passes_both_ways(
-    pty: Pty, link: SerialLink, eventually: Eventually
-) -> None:
+async def test_every_byte_value_passes_both_ways(pty: Pty, link: SerialLink) -> None:
     os.write(pty.master, ALL_BYTES)
     assert await receive(link, 256) == ALL_BYTES
     heard = bytearray()
@@ -222,9 +219,7 @@ def slow_port(monkeypatch: pytest.MonkeyPatch) -> Generator[threading.Event]:
 
 @pytest.mark.seam
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems wait by select")
-async def test_a_port_opened_beside_a_thousand_files_is_read_and_written(
-    pty: Pty, eventually: Eventually
-) -> None:
+async def test_a_port_opened_beside_a_thousand_files_is_read_and_written(pty: Pty) -> None:
     # select takes no descriptor above 1023, and each stream takes some.
     raise_limit()
     with ExitStack() as stack:
@@ -259,7 +254,7 @@ async def is_free(port: str) -> bool:
 
 @pytest.mark.nightly
 async def test_a_port_that_does_not_open_in_time_is_absent_and_not_held_later(
-    pty: Pty, slow_port: threading.Event, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
+    pty: Pty, slow_port: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "OPEN_TIMEOUT_S", 0.05)
     before = threading.active_count()
@@ -278,7 +273,6 @@ async def test_a_stop_while_opening_leaves_no_port_open(
     pty: Pty,
     slow_port: threading.Event,
     monkeypatch: pytest.MonkeyPatch,
-    eventually: Eventually,
     opened_before_the_stop: bool,
 ) -> None:
     before = threading.active_count()
@@ -302,7 +296,7 @@ async def test_a_stop_while_opening_leaves_no_port_open(
 
 @pytest.mark.seam
 async def test_a_hang_up_is_told_after_everything_that_had_arrived(
-    pty: Pty, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken = bytearray()
     read = module.Port.read
@@ -370,7 +364,7 @@ async def test_a_write_that_nobody_takes_ends_the_link(
 
 @pytest.mark.nightly
 async def test_closing_does_not_wait_for_a_write_that_nobody_takes(
-    pty: Pty, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "WRITE_TIMEOUT_S", 2 * CLOSED_WITHIN_S)
     monkeypatch.setattr(module, "CLOSE_TIMEOUT_S", 0.1)

@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 
 from biosensor_gateway.system.shutdown import until_signalled
+from tests.rigs.polling import wait_until
 
 DEADLINE_S = 30.0
 PROGRAM = Path(__file__).with_name("shutdown_program.py")
@@ -21,16 +22,15 @@ WHOLE_STORY = ["running", "closing", "closed", "returned", "exiting"]
 REQUESTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 ANY_REQUEST = pytest.mark.parametrize("number", REQUESTS)
-Until = Callable[[Callable[[], bool]], None]
 Process = subprocess.Popen[bytes]
 
 
 class Started:
     """Starts the program and knows what it has recorded and said."""
 
-    def __init__(self, folder: Path, until: Until) -> None:
+    def __init__(self, folder: Path) -> None:
         self._record, self._said = folder / "record.txt", folder / "said.txt"
-        self._until = until
+        self._until = wait_until
         self.processes: list[Process] = []
 
     def __call__(
@@ -66,8 +66,8 @@ class Started:
 
 
 @pytest.fixture
-def start(tmp_path: Path, until: Until) -> Generator[Started]:
-    started = Started(tmp_path, until)
+def start(tmp_path: Path) -> Generator[Started]:
+    started = Started(tmp_path)
     yield started
     for process in started.processes:
         process.kill()

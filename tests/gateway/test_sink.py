@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Generator
 
 import numpy as np
 import psutil
@@ -26,11 +26,11 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import WAITED_S, Arrivals, DeviceSink
 from biosensor_gateway.system.child import start_beside
+from tests.rigs.gateway import inlet
+from tests.rigs.polling import wait_until
 
 ECG_PERIOD_S = 0.004
 DEVICE_S = 8.2e8
-
-OpenInlet = Callable[[str], pylsl.StreamInlet]
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def times(count: int, start_s: float = DEVICE_S) -> list[float]:
 
 
 @pytest.mark.seam
-def test_device_times_become_lsl_stamps(sink: DeviceSink, inlet: OpenInlet) -> None:
+def test_device_times_become_lsl_stamps(sink: DeviceSink) -> None:
     reader = inlet(f"zephyr-{sink.identity.unit}-ecg")
     arrival = pylsl.local_clock()
     device_times = times(63)
@@ -65,9 +65,7 @@ def test_device_times_become_lsl_stamps(sink: DeviceSink, inlet: OpenInlet) -> N
 
 
 @pytest.mark.nightly
-def test_stamps_never_run_backwards_when_the_device_clock_does(
-    sink: DeviceSink, inlet: OpenInlet
-) -> None:
+def test_stamps_never_run_backwards_when_the_device_clock_does(sink: DeviceSink) -> None:
     reader = inlet(f"zephyr-{sink.identity.unit}-ecg")
     arrival = pylsl.local_clock()
     with capture_logs() as logs:
@@ -309,9 +307,7 @@ def test_ctrl_c_at_the_agents_terminal_does_not_reach_the_program_that_reads_a_b
 
 @pytest.mark.seam
 @posix
-def test_a_program_that_outlives_this_one_leaves_no_zombie_if_it_does_not(
-    until: Callable[[Callable[[], bool]], None],
-) -> None:
+def test_a_program_that_outlives_this_one_leaves_no_zombie_if_it_does_not() -> None:
     before = set(psutil.Process().children())
     start_beside(["--version"])
-    until(lambda: not set(psutil.Process().children()) - before)
+    wait_until(lambda: not set(psutil.Process().children()) - before)

@@ -9,8 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Generator, Mapping
 from os import environ
 from pathlib import Path
 
@@ -18,6 +17,8 @@ import pytest
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control, status_file
+from tests.rigs.gateway import cli_process
+from tests.rigs.polling import wait_until
 from tests.rigs.terminal import at_terminal
 
 pytestmark = pytest.mark.nightly
@@ -28,16 +29,12 @@ PROGRAM = [sys.executable, "-m", "biosensor_gateway.cli"]
 WATCH = [*PROGRAM, "status", "--watch"]
 ROW = re.compile(r"^Zephyr BioHarness 3 +(\w+) +\S+", re.MULTILINE)
 FOOT = "Press Ctrl-C to end the watch; the agent continues."
-StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
-Until = Callable[[Callable[[], bool]], None]
 
 
 @pytest.fixture
-def agent(
-    cli_process: StartCli, until: Until, tmp_path: Path
-) -> Generator[subprocess.Popen[bytes]]:
+def agent(tmp_path: Path) -> Generator[subprocess.Popen[bytes]]:
     with cli_process(tmp_path, "run", "--simulate", "zephyr") as process:
-        until(lambda: "streaming" in status(tmp_path))
+        wait_until(lambda: "streaming" in status(tmp_path))
         yield process
 
 
@@ -133,7 +130,7 @@ def wait_ready(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def test_it_waits_for_an_agent_that_is_yet_to_start(cli_process: StartCli, tmp_path: Path) -> None:
+def test_it_waits_for_an_agent_that_is_yet_to_start(tmp_path: Path) -> None:
     waiting = wait_ready(tmp_path, "--timeout", str(DEADLINE_S), "--json")
     time.sleep(2)
     assert waiting.poll() is None
@@ -155,9 +152,7 @@ def test_it_waits_for_an_agent_that_is_yet_to_start(cli_process: StartCli, tmp_p
     assert all(streams[f"zephyr-virtual-{name}"]["pushed"] for name in ("ecg", "breathing", "acc"))
 
 
-def test_a_device_that_falls_silent_is_named_and_no_other(
-    cli_process: StartCli, tmp_path: Path
-) -> None:
+def test_a_device_that_falls_silent_is_named_and_no_other(tmp_path: Path) -> None:
     options = ("--simulate", "zephyr,empatica_e4", "--fault", "zephyr:stall:120s@0s")
     with cli_process(tmp_path, "run", *options):
         waiting = wait_ready(tmp_path, "--timeout", "20")
@@ -168,9 +163,7 @@ def test_a_device_that_falls_silent_is_named_and_no_other(
     assert [line.startswith("- zephyr (virtual): ") for line in missing] == [True]
 
 
-def test_what_a_model_has_only_in_name_is_not_waited_for(
-    cli_process: StartCli, tmp_path: Path
-) -> None:
+def test_what_a_model_has_only_in_name_is_not_waited_for(tmp_path: Path) -> None:
     # The virtual Muse 2 has no optics of an Athena, and its settings switch the aux off.
     with cli_process(tmp_path, "run", "--simulate", "muse"):
         waiting = wait_ready(tmp_path, "--timeout", str(DEADLINE_S), "--json")

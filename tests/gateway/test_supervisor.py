@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from typing import Any
 
 import pytest
@@ -25,12 +25,12 @@ from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import Clock
+from tests.rigs.polling import eventually
 
 DISCOVERING, CONNECTING, STREAMING = State.DISCOVERING, State.CONNECTING, State.STREAMING
 BACKOFF, STOPPED = State.BACKOFF, State.STOPPED
 LONG_S = 3600.0
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 Step = Callable[[], Coroutine[Any, Any, None]]
 
 
@@ -145,7 +145,7 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return noted
 
 
-async def test_a_device_that_is_there_streams(start: Start, eventually: Eventually) -> None:
+async def test_a_device_that_is_there_streams(start: Start) -> None:
     rig = start()
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert rig.states == [CONNECTING, STREAMING]
@@ -156,9 +156,7 @@ async def test_a_device_that_is_there_streams(start: Start, eventually: Eventual
 @pytest.mark.parametrize(
     "reason", [TransportReason.ABSENT, TransportReason.LOST, TransportReason.SILENT]
 )
-async def test_what_is_absent_is_probed(
-    start: Start, eventually: Eventually, reason: TransportReason
-) -> None:
+async def test_what_is_absent_is_probed(start: Start, reason: TransportReason) -> None:
     rig = start(ScriptedDriver(connect=failing(TransportError(reason, "nobody there"))))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert rig.states == [CONNECTING, DISCOVERING, CONNECTING, STREAMING]
@@ -180,9 +178,7 @@ async def test_what_is_absent_is_probed(
     ],
     ids=lambda error: f"{type(error).__name__}-{error}",
 )
-async def test_what_refuses_is_left_alone_for_a_while(
-    start: Start, eventually: Eventually, error: Exception
-) -> None:
+async def test_what_refuses_is_left_alone_for_a_while(start: Start, error: Exception) -> None:
     rig = start(ScriptedDriver(connect=failing(error)))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert rig.states == [CONNECTING, BACKOFF, CONNECTING, STREAMING]
@@ -202,7 +198,7 @@ async def test_what_refuses_is_left_alone_for_a_while(
     ids=lambda value: str(value) or "cancelled",
 )
 async def test_a_connection_that_ends_is_made_again(
-    start: Start, eventually: Eventually, error: BaseException, then: State
+    start: Start, error: BaseException, then: State
 ) -> None:
     rig = start(ScriptedDriver(stream=failing(error)))
     await eventually(lambda: rig.supervisor.connections == 2)
@@ -211,9 +207,7 @@ async def test_a_connection_that_ends_is_made_again(
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_since_when_it_does_not_stream_is_kept_over_its_attempts(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_since_when_it_does_not_stream_is_kept_over_its_attempts(start: Start) -> None:
     rig = start(ScriptedDriver(connect=failing(lost())))
     away_since = rig.supervisor.away_since
     assert away_since is not None
@@ -224,25 +218,21 @@ async def test_since_when_it_does_not_stream_is_kept_over_its_attempts(
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_driver_that_just_stops_is_started_again(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_a_driver_that_just_stops_is_started_again(start: Start) -> None:
     rig = start(ScriptedDriver(stream=at_once))
     await eventually(lambda: rig.supervisor.connections == 2)
     assert rig.states[:3] == [CONNECTING, STREAMING, DISCOVERING]
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_driver_that_cancels_itself_while_connecting_is_tried_again(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_a_driver_that_cancels_itself_while_connecting_is_tried_again(start: Start) -> None:
     rig = start(ScriptedDriver(connect=failing(asyncio.CancelledError())))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert rig.states == [CONNECTING, DISCOVERING, CONNECTING, STREAMING]
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_silence_ends_a_connection(start: Start, eventually: Eventually) -> None:
+async def test_silence_ends_a_connection(start: Start) -> None:
     with capture_logs() as logs:
         rig = start(ScriptedDriver(silence_limit_s=0.05))
         await eventually(lambda: rig.supervisor.connections == 2)
@@ -250,7 +240,7 @@ async def test_silence_ends_a_connection(start: Start, eventually: Eventually) -
     assert [entry["reason"] for entry in logs if "reason" in entry] == ["silent"]
 
 
-async def test_a_device_that_is_heard_is_not_silent(start: Start, eventually: Eventually) -> None:
+async def test_a_device_that_is_heard_is_not_silent(start: Start) -> None:
     rig: Rig | None = None
     count = 0
 
@@ -268,25 +258,19 @@ async def test_a_device_that_is_heard_is_not_silent(start: Start, eventually: Ev
     assert rig.states == [CONNECTING, STREAMING]
 
 
-async def test_the_back_off_doubles_up_to_its_cap(
-    start: Start, eventually: Eventually, waits: list[float]
-) -> None:
+async def test_the_back_off_doubles_up_to_its_cap(start: Start, waits: list[float]) -> None:
     rig = start(*(ScriptedDriver(connect=failing(refused())) for _ in range(8)))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert waits == [1, 2, 4, 8, 16, 30, 30, 30]
 
 
-async def test_a_device_may_refuse_for_days(
-    start: Start, eventually: Eventually, waits: list[float]
-) -> None:
+async def test_a_device_may_refuse_for_days(start: Start, waits: list[float]) -> None:
     rig = start(*(ScriptedDriver(connect=failing(refused())) for _ in range(1200)))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert set(waits[10:]) == {module.BACKOFF_CAP_S}
 
 
-async def test_probing_keeps_its_pace(
-    start: Start, eventually: Eventually, waits: list[float]
-) -> None:
+async def test_probing_keeps_its_pace(start: Start, waits: list[float]) -> None:
     rig = start(*(ScriptedDriver(connect=failing(lost())) for _ in range(5)))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert waits == [module.PROBE_INTERVAL_S] * 5
@@ -296,7 +280,6 @@ async def test_probing_keeps_its_pace(
 @pytest.mark.parametrize(("stable_after_s", "last"), [(0.0, 1), (LONG_S, 8)])
 async def test_only_a_stable_connection_clears_the_back_off(
     start: Start,
-    eventually: Eventually,
     waits: list[float],
     monkeypatch: pytest.MonkeyPatch,
     stable_after_s: float,
@@ -311,7 +294,7 @@ async def test_only_a_stable_connection_clears_the_back_off(
 
 @pytest.mark.parametrize("jitter", [0.75, 1.0])
 async def test_the_jitter_stays_within_a_quarter(
-    start: Start, eventually: Eventually, monkeypatch: pytest.MonkeyPatch, jitter: float
+    start: Start, monkeypatch: pytest.MonkeyPatch, jitter: float
 ) -> None:
     def note(low: float, high: float) -> float:
         assert (low, high) == (0.75, 1.0)
@@ -323,9 +306,7 @@ async def test_the_jitter_stays_within_a_quarter(
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_an_unknown_exception_is_logged_with_its_traceback(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_an_unknown_exception_is_logged_with_its_traceback(start: Start) -> None:
     mistake = ZeroDivisionError("in the driver")
     with capture_logs() as logs:
         rig = start(ScriptedDriver(stream=failing(mistake)))
@@ -336,7 +317,7 @@ async def test_an_unknown_exception_is_logged_with_its_traceback(
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_the_same_sentence_is_logged_once(start: Start, eventually: Eventually) -> None:
+async def test_the_same_sentence_is_logged_once(start: Start) -> None:
     absent = TransportError(TransportReason.ABSENT, "there is no such port")
     with capture_logs() as logs:
         rig = start(*(ScriptedDriver(connect=failing(absent)) for _ in range(5)))
@@ -348,9 +329,7 @@ async def test_the_same_sentence_is_logged_once(start: Start, eventually: Eventu
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_driver_that_cannot_be_made_is_retried(
-    unit: str, virtual_clock: Clock, eventually: Eventually
-) -> None:
+async def test_a_driver_that_cannot_be_made_is_retried(unit: str, virtual_clock: Clock) -> None:
     attempts = 0
 
     def make() -> ScriptedDriver:
@@ -374,7 +353,6 @@ async def test_a_driver_that_cannot_be_made_is_retried(
 @pytest.mark.parametrize("close", [at_once, forever, failing(OSError("the port hangs"))])
 async def test_every_state_can_be_stopped_whatever_closing_does(
     start: Start,
-    eventually: Eventually,
     monkeypatch: pytest.MonkeyPatch,
     state: State,
     close: Step,
@@ -402,7 +380,7 @@ async def test_a_stop_before_the_first_step_is_a_stop(start: Start) -> None:
 
 
 async def test_a_driver_that_will_not_end_closing_is_left_behind(
-    start: Start, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+    start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "CLOSE_TIMEOUT_S", 0.05)
     released = asyncio.Event()
@@ -424,9 +402,7 @@ async def test_a_driver_that_will_not_end_closing_is_left_behind(
     await asyncio.sleep(0)
 
 
-async def test_a_stop_while_closing_lets_the_closing_finish(
-    start: Start, eventually: Eventually
-) -> None:
+async def test_a_stop_while_closing_lets_the_closing_finish(start: Start) -> None:
     begun, proceed, finished = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
     async def slow() -> None:
@@ -445,7 +421,7 @@ async def test_a_stop_while_closing_lets_the_closing_finish(
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_one_failing_device_disturbs_no_other(start: Start, eventually: Eventually) -> None:
+async def test_one_failing_device_disturbs_no_other(start: Start) -> None:
     count = 0
 
     async def tick() -> None:

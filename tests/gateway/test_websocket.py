@@ -22,8 +22,8 @@ from biosensor_common.errors import ConfigError, GatewayError, TransportError, T
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import websocket as module
 from biosensor_gateway.transports.websocket import WebSocketLink, tls_context
+from tests.rigs.polling import eventually
 
-Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 Handler = Callable[[ServerConnection], Awaitable[None]]
 
 LONG_AGO = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
@@ -339,7 +339,6 @@ async def test_closing_does_not_wait_for_a_peer_that_reads_nothing(
 async def test_a_slow_consumer_neither_stalls_the_socket_nor_loses_its_pongs(
     authority: trustme.CA,
     ca_file: str,
-    eventually: Eventually,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sent = 0

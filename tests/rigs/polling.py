@@ -9,7 +9,7 @@ from typing import TypeVar
 
 _T = TypeVar("_T")
 
-_DEADLINE_S = 20.0
+_DEADLINE_S, _DEADLINE_OF_THREADS_S = 20.0, 30.0
 _STEP_S = 0.005
 
 
@@ -25,6 +25,17 @@ def wait_until(
         assert time.monotonic() < deadline, f"never happened: {expected}"
         time.sleep(_STEP_S)
     return found
+
+
+async def eventually(condition: Callable[[], object]) -> None:
+    """Return once the condition holds; the test fails if it never does, by the clock of the wall.
+
+    For what happens in threads and processes, also while a loop's own time stands still.
+    """
+    deadline = time.monotonic() + _DEADLINE_OF_THREADS_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        await asyncio.sleep(_STEP_S)
 
 
 async def until(condition: Callable[[], object]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-import time
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
 from contextlib import asynccontextmanager
@@ -30,6 +29,7 @@ from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.streaming import stages
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from tests.rigs.driver_run import NotedSink, Run, supervised
+from tests.rigs.polling import eventually
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged
 
 DEADLINE_S = 30.0
@@ -39,13 +39,6 @@ ALL_PACKETS = {*WAVEFORMS.values(), Packet.RR, Packet.SUMMARY}
 LIFESIGN = 0x23
 
 Floats = NDArray[np.float64]
-
-
-async def eventually(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        await asyncio.sleep(0.01)
 
 
 class BlockSink(NotedSink):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 from datetime import date
@@ -47,6 +46,7 @@ from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.byte_links import TcpLink
 from tests.rigs.emitter_sink import EmitterSink
+from tests.rigs.polling import eventually
 from tests.rigs.zephyr import SteeredBioHarness
 
 # The virtual BioHarness 3: its truth against the wire, and every fault.
@@ -99,20 +99,11 @@ def test_without_reads_a_frame_is_played_when_its_samples_are_complete() -> None
 
 # The virtual BioHarness on TCP, as where there are no pseudo-terminals.
 
-DEADLINE_S = 30.0
-
 
 @pytest.fixture
 def device() -> Generator[SteeredBioHarness]:
     with SteeredBioHarness(SyntheticSource(seed=2), tcp=True) as running:
         yield running
-
-
-async def _until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        await asyncio.sleep(0.02)
 
 
 def _pushed(sink: DeviceSink) -> int:
@@ -127,11 +118,11 @@ async def test_a_driver_streams_and_comes_back_after_a_hang_up(
     supervisor = Supervisor(DRIVER.make(settings, sink), sink)
     task = asyncio.create_task(supervisor.run())
     try:
-        await _until(lambda: _pushed(sink) > 200)
+        await eventually(lambda: _pushed(sink) > 200)
         await asyncio.to_thread(device.drop_link, 0.5)
-        await _until(lambda: supervisor.connections == 2)
+        await eventually(lambda: supervisor.connections == 2)
         before = _pushed(sink)
-        await _until(lambda: _pushed(sink) > before + 200)
+        await eventually(lambda: _pushed(sink) > before + 200)
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
