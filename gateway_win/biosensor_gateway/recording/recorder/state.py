@@ -14,15 +14,16 @@ import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
 from biosensor_common import naming
-from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import listed
-from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system import state_file
+
+if TYPE_CHECKING:
+    from biosensor_gateway.settings.models import DeviceSettings
 
 LAB_RECORDER, OWN = "LabRecorder's program", "the gateway's own recorder"
 """Names in sentences of the programs that record."""
@@ -298,6 +299,9 @@ def lost_by_start(devices: Iterable[DeviceSettings], state: Path) -> str:
     saved = folder.saved() if folder.is_running else None
     if saved is None:
         return ""
+    # Imported here, because `stop` asks this module, too, and needs no settings.
+    from biosensor_gateway.devices.registry import declared  # noqa: PLC0415 - see above
+
     there = {
         naming.source_id(each.identity, stream.data_name)
         for each in devices
