@@ -54,6 +54,8 @@ KEPT = 8
 """Number of pulses for medians."""
 LOST_S = 4.0
 """Time without a pulse after which the usual size is reset: the sensor may have been moved."""
+LEARNING_S = 3.0
+"""Time in which the first pulses wait until their usual size is known; a slow heart beats in it."""
 # Largest delay of an apex by the filter's group delay.
 _APEX_S = 0.12
 _KEPT_S = 3.0
@@ -149,6 +151,7 @@ class Pulses:
         # nothing is dropped: a memory of heights
         self._heights: deque[float] = deque(maxlen=KEPT)
         self._rises: deque[float] = deque(maxlen=KEPT)  # nothing is dropped: a memory of rises
+        self._held: list[tuple[Beat, float]] | None = []
         self._length = 0
         self._last = float("-inf")
 
@@ -181,21 +184,38 @@ class Pulses:
         if since_s > LOST_S:
             self._heights.clear()
             self._rises.clear()
+            self._held = []
         rise = self._rise(kept, top)
         least = self._least_rise(kept)
-        if since_s < REFRACTORY_S or rise < least:
+        if since_s < REFRACTORY_S or rise <= 0 or rise < least:
             return []  # nothing is dropped: it is no pulse of its own
-        passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top, least)]
+        passed = self._passed_over(kept, upright, top, least)
         self._last, self.height = beat.stamp, upright[top]
         self._heights.append(upright[top])
         self._rises.append(rise)
-        return [*passed, beat]
+        found = [(self._beat(kept, place), each) for place, each in passed]
+        return self._known([*found, (beat, rise)])
+
+    def _known(self, found: list[tuple[Beat, float]]) -> list[Beat]:
+        """Return pulses once the usual rise is known; before, small waves look like pulses."""
+        if self._held is None:
+            return [beat for beat, _ in found]
+        self._held += found
+        if found[-1][0].stamp - self._held[0][0].stamp < LEARNING_S:
+            return []  # nothing is dropped: they wait
+        held, self._held = self._held, None
+        least = LEAST_SHARE * max(rise for _, rise in held)
+        large = [rise for rise in self._rises if rise >= least]
+        self._rises.clear()
+        self._rises.extend(large)
+        return [beat for beat, rise in held if rise >= least]
 
     def _least_rise(self, kept: Sequence[_Kept]) -> float:
         """Return by how much a pulse stands out at least: of other ones, and of white noise."""
         if not self._rises:
             return 0.0
-        usual = median(self._rises)
+        known = self._rises if self._held is None else [max(self._rises)]
+        usual = median(known)
         values = [each[1] for each in kept]
         # Second differences are those of noise at most samples, and their median leaves out others.
         bends = (a - 2 * b + c for a, b, c in zip(values, values[1:], values[2:], strict=False))
@@ -204,8 +224,8 @@ class Pulses:
 
     def _passed_over(
         self, kept: Sequence[_Kept], upright: Sequence[float], top: int, least: float
-    ) -> list[int]:
-        """Return the tops of early pulses that the previous pulse hid from the moving means.
+    ) -> list[tuple[int, float]]:
+        """Return tops and rises of early pulses that the previous one hid from the moving means.
 
         Unlike the dicrotic wave of a pulse, such a top is nearly as high as others, and the signal
         was below its mean before it.
@@ -215,15 +235,16 @@ class Pulses:
         near = round(EARLY_S * self._rate)
         begin = next((n for n in range(top) if kept[n][0] >= self._last), top)
         limit = EARLY_SHARE * min(median(self._heights), upright[top])
-        found: list[int] = []
+        found: list[tuple[int, float]] = []
         last = begin
         for place in range(begin + near, top - near):
             is_top = upright[place - 1] < upright[place] >= upright[place + 1]
             if not is_top or upright[place] < limit or place - last < near:
                 continue  # nothing is dropped: it is no top of a pulse
             valley = max(min(upright[last:place]), min(upright[place:top]))
-            if valley < VALLEY_SHARE * upright[place] and self._rise(kept, place) >= least:
-                found.append(place)
+            rise = self._rise(kept, place)
+            if valley < VALLEY_SHARE * upright[place] and rise >= least:
+                found.append((place, rise))
                 last = place
         return found
 

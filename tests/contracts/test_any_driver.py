@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 VALUES = {FaultKind.LOW_BATTERY: 4.0, FaultKind.GARBAGE: 20.0, FaultKind.DRIFT: 150.0}
 SHORT_S = 0.5
 SILENT_S = 3.0
+TOO_LATE_S = 12.0
+"""Later than anybody waits for an answer."""
 MESSAGE_S = 1.0
 """What comes most rarely of all that has to come."""
 ESTIMATED_S = 40.0
@@ -189,6 +191,23 @@ async def test_it_goes_on_after_a_fault_and_makes_nothing_up(
     if kind is FaultKind.GARBAGE and device.truth.data_names:
         for each in measured(device):
             assert set(np.diff(places(device, run, each))) <= {1}
+
+
+@every(FaultKind.LATE)
+async def test_answers_that_come_after_all_limits_hinder_no_later_connection(
+    device: VirtualDevice, kind: FaultKind
+) -> None:
+    name = measured(device)[0]
+    async with told_the_truth(device) as run:
+        device.apply(Fault(kind, TOO_LATE_S))
+        await asyncio.sleep(TOO_LATE_S / 3)
+        # From now on it answers at once, and what it answers to those before still comes.
+        device.clear(kind)
+        await run.goes_on(COUNT, name)
+        await asyncio.sleep(2 * TOO_LATE_S)
+        assert run.supervisor.connections == 2
+        await run.goes_on(COUNT, name)
+        assert run.supervisor.state is State.STREAMING
 
 
 @every(*CANNOT_BE)

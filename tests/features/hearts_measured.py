@@ -179,9 +179,9 @@ ROWS = {
     "fibrillation": Row(fibrillation, 0.04),
     "sinus": Row(sinus, 0.0, 0.0),
     "arrhythmia": Row(arrhythmia, 0.02),
-    "slow": Row(slow, 0.001),
+    "slow": Row(slow, 0.0),
     "second waves": Row(second_waves, 0.0),
-    "artefacts": Row(artefacts, 0.01, 0.0),
+    "artefacts": Row(artefacts, 0.0, 0.0),
     "lamps": Row(lamps, 0.0),
 }
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields, foreign_header
+from biosensor_gateway.features.heart import Heart
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import judge
 from tests.features import signals
@@ -120,6 +121,72 @@ def test_between_slow_pulses_neither_noise_nor_a_wandering_level_is_one(
         assert told_of(events, beats).wrong == 0
         found = signals.stamps_of(events, "beats")
         assert max(np.abs(beats - each).min() for each in found[found > LEARNT_S]) < off_s
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.08])
+@pytest.mark.parametrize("bpm", [28, 36, 44])
+def test_before_the_usual_pulse_is_known_no_small_wave_is_one(bpm: float, noise: float) -> None:
+    for seed in range(4):
+        beats = signals.regular(bpm, 30, 0.02, seed)
+        pulse = signals.pulse_of(beats, 25.0, 30, seed=seed)
+        pulse += noise * np.random.default_rng(seed).standard_normal(len(pulse))
+        found = signals.stamps_of(signals.events_of("PPG", pulse, 25.0), "beats")
+        assert max(np.abs(beats - each).min() for each in found[found < 10]) < 0.3
+        assert len(found[found < 10]) >= np.sum(beats < 10) - 1
+
+
+def test_two_pulses_in_a_row_that_are_missed_are_no_slower_heart() -> None:
+    heart = Heart()
+    # The second long interval is like the one before it.
+    times = [t for t in np.arange(0.0, 40.0, 0.6) if not 20.3 < t < 22.7 or 21.4 < t < 21.7]
+    told = [each.values[0] for t in times for each in heart.beat(t) if each.feature == "hr_live"]
+    assert told == pytest.approx([100.0] * len(told), abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 2.0])
+@pytest.mark.parametrize(("rate", "hertz"), [(64.0, 60.0), (55.0, 50.0), (55.0, 60.0)])
+@pytest.mark.parametrize("bpm", [60, 75, 100])
+def test_mains_in_a_slowly_sampled_pulse_are_no_heart(
+    bpm: float, rate: float, hertz: float, share: float
+) -> None:
+    beats = signals.regular(bpm, 40)
+    pulse = signals.pulse_of(beats, rate, 40)
+    hum = share * np.sin(2 * np.pi * hertz * np.arange(len(pulse)) / rate + 1)
+    events = signals.events_of("PPG", pulse + hum, rate)
+    # With much of it, nothing is told at all.
+    if len(signals.stamps_of(events, "hr_live")):
+        assert told_of(events, beats).wrong == 0
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("bpm", [38, 75, 120])
+@pytest.mark.parametrize("make", [_ecg, _pulse], ids=["ECG", "PPG"])
+def test_a_signal_that_is_tenfold_from_one_moment_on_has_the_same_rate(
+    make: Make, bpm: float, factor: float
+) -> None:
+    beats = signals.regular(bpm, SECONDS)
+    kind, signal, rate = make(beats)
+    signal[len(signal) // 2 :] *= factor
+    told = told_of(signals.events_of(kind, signal, rate), beats)
+    assert told.wrong == 0
+    assert np.mean(told.is_good) > 0.5
+
+
+def test_a_state_is_as_good_as_what_its_rate_was_computed_from() -> None:
+    beats = signals.regular(70, SECONDS)
+    signal = signals.pulse_of(beats, PULSE_HZ, SECONDS)
+    signal += 30 * signals.artefact(SECONDS, PULSE_HZ, 40.0, 0.4)
+    events = signals.events_of("PPG", signal, PULSE_HZ)
+    stamps = signals.stamps_of(events, "hr_state")
+    rate, age_s, quality = signals.values_of(events, "hr_state")[:, :3].T
+    beside = signals.values_of(events, "hr_live_quality")[:, 3]
+    of_rate = dict(zip(signals.stamps_of(events, "hr_live").round(3), beside, strict=True))
+    known = np.isfinite(rate) & (stamps > LEARNT_S)
+    for stamp, age, told in zip(stamps[known], age_s[known], quality[known], strict=True):
+        assert told <= of_rate[round(stamp - age, 3)]
+    # An artefact is looked back at for as long as the rate's own window.
+    assert quality[(stamps > 42) & (stamps < 50)].max() < 0.5
+    assert quality[stamps > 60].min() > 0.9
 
 
 @pytest.mark.parametrize("bpm", [45, 60, 80, 100])

@@ -154,6 +154,46 @@ def test_the_rate_of_breaths_that_vary_is_right_in_nearly_all_windows(
     assert np.mean(np.array(wrong) <= 1) >= (0.9 if coughs else 0.98)
 
 
+def _beside_breath(t: Array) -> dict[str, Array]:
+    """Return what is in the movement of a chest besides breath."""
+    return {
+        "heart": 0.15 * np.sin(2 * np.pi * 1.2 * t),
+        "noise": 0.1 * np.random.default_rng(3).standard_normal(len(t)),
+    }
+
+
+@pytest.mark.parametrize("rate", [10.0, 25.0])
+@pytest.mark.parametrize("beside", ["heart", "noise"])
+@pytest.mark.parametrize("held_s", [12.0, 25.0, 40.0])
+def test_while_the_breath_is_held_nothing_else_is_breath(
+    held_s: float, beside: str, rate: float
+) -> None:
+    t = np.arange(round(240 * rate)) / rate
+    cycle_s = 32 + held_s
+    in_cycle = t % cycle_s
+    breath = np.where(in_cycle < 32, (1 - np.cos(2 * np.pi * in_cycle / 4)) / 2, 0.0)
+    events = signals.events_of("Respiration", breath + _beside_breath(t)[beside], rate)
+    stamps = signals.stamps_of(events, "breaths")
+    assert len(stamps) > 20
+    # Breaths, and those only: there are none in the pause.
+    assert (stamps[stamps > 40] % cycle_s).max() < 32.5
+    assert signals.values_of(events, "br_live")[6:, 0] == pytest.approx(15, abs=1.5)
+
+
+@pytest.mark.parametrize("rate", [10.0, 25.0])
+@pytest.mark.parametrize("beside", ["heart", "noise"])
+@pytest.mark.parametrize("per_minute", [3.5, 5.0, 7.0])
+def test_between_slow_breaths_nothing_else_is_breath(
+    per_minute: float, beside: str, rate: float
+) -> None:
+    t = np.arange(round(180 * rate)) / rate
+    breath = signals.breath(rate, 180, per_minute) / 6
+    events = signals.events_of("Respiration", breath + _beside_breath(t)[beside], rate)
+    told = signals.values_of(events, "br_live")[:, 0]
+    assert len(told) > 4
+    assert told == pytest.approx(per_minute, abs=0.7)
+
+
 def test_breathing_is_found_again_soon_after_a_jump_of_a_hundred_times_its_depth() -> None:
     signal = signals.breath(20, 120)
     signal[800:] += 600.0

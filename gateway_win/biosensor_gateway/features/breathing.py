@@ -15,6 +15,7 @@ from biosensor_gateway.features.runs import Array, Decimator, Event
 from biosensor_gateway.pulses import Biquad
 
 BR_QUALITY = "br_live_quality"
+_NOISE_EVERY = 16
 
 
 class _Point(NamedTuple):
@@ -40,7 +41,11 @@ class Breathing:
         self._smooth = Biquad(cut_hz, self._decimator.rate, is_high_pass=False)
         # Delay of a second-order Butterworth filter for slow signals.
         self._late_s = math.sqrt(2) / (2 * math.pi * cut_hz)
-        self._usual = _Usual(round(at.BREATH_BLOCK_S * self._decimator.rate))
+        length = round(at.BREATH_BLOCK_S * self._decimator.rate)
+        self._usual = _Usual(length)
+        # What a second-order Butterworth filter leaves of white noise.
+        passes = min(1.0, 2.22 * cut_hz / self._decimator.rate)
+        self._noise = _Noise(at.BREATH_BLOCKS * length, math.sqrt(passes))
         self._low = self._high = _Point(math.nan, math.nan)
         self._is_up = False
         self._last = math.nan
@@ -51,11 +56,17 @@ class Breathing:
         return [
             event
             for stamp, value in self._decimator.take(stamps, values)
-            for event in self._sample(_Point(stamp - self._late_s, self._smooth.take(value)))
+            for event in self._sample(_Point(stamp - self._late_s, self._smoothed(value)))
         ]
 
+    def _smoothed(self, value: float) -> float:
+        self._noise.take(value)
+        return self._smooth.take(value)
+
     def _sample(self, here: _Point) -> list[Event]:
-        limit = at.BREATH_HYSTERESIS * self._usual.take(here.value)
+        usual = self._usual.take(here.value)
+        noise = at.BREATH_NOISE_TIMES * self._noise.value
+        limit = max(at.BREATH_HYSTERESIS * usual, min(at.BREATH_NOISE_SHARE * usual, noise))
         if limit <= 0:
             self._low = self._high = here
             return []  # nothing is dropped: nothing is known yet, or nothing moves
@@ -115,15 +126,17 @@ def _value(point: _Point) -> float:
 class _Usual:
     """Measures the usual span of a signal: the median of its spans in blocks of time.
 
-    Unlike a standard deviation, it does not change with one cough or change of posture.
+    Unlike a standard deviation, it does not change with one cough or change of posture. While
+    somebody holds the breath, or between slow breaths, the spans are those of noise and of the
+    heart; so a share of the larger ones of a longer time is the least.
     """
 
     def __init__(self, length: int) -> None:
         self._length = length
         self._block: list[float] = []
         # nothing is dropped: a memory of spans, not of samples
-        self._spans: deque[float] = deque(maxlen=at.BREATH_BLOCKS)
-        self._median = 0.0
+        self._spans: deque[float] = deque(maxlen=at.BREATH_BLOCKS_LONG)
+        self._usual = 0.0
 
     def take(self, value: float) -> float:
         """Take a value, and return the usual span; 0 before two blocks are full."""
@@ -132,5 +145,32 @@ class _Usual:
             self._spans.append(max(self._block) - min(self._block))
             self._block.clear()
             if len(self._spans) > 1:
-                self._median = median(self._spans)
-        return self._median
+                spans = list(self._spans)
+                large = sorted(spans)[3 * len(spans) // 4]
+                newest = median(spans[-at.BREATH_BLOCKS :])
+                self._usual = max(newest, at.BREATH_LONG_SHARE * large)
+        return self._usual
+
+
+class _Noise:
+    """Measures the standard deviation of white noise in a signal, times a factor.
+
+    Second differences are those of noise at most samples, and their median leaves out others.
+    """
+
+    def __init__(self, length: int, factor: float) -> None:
+        # nothing is dropped: a memory of noise, not of samples
+        self._bends: deque[float] = deque(maxlen=length)
+        self._last: tuple[float, float] | None = None
+        self._factor = factor * at.OF_MEDIAN / math.sqrt(6)
+        self._count = 0
+        self.value = 0.0
+
+    def take(self, value: float) -> None:
+        """Take a value."""
+        before, last = self._last or (value, value)
+        self._last = last, value
+        self._bends.append(abs(before - 2 * last + value))
+        self._count += 1
+        if self._count % _NOISE_EVERY == 0:
+            self.value = self._factor * median(self._bends)

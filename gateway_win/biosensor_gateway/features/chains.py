@@ -123,7 +123,7 @@ class _Beating:
 
 def _heart(content_type: str, find: RPeaks | PulsesOfAnyRate, rate: float) -> Stage:
     judge = quality.Quality(content_type, rate)
-    state = State(HR_STATE, "hr_live", HR_QUALITY, at.INTERVAL_S[1])
+    state = State(HR_STATE, "hr_live", HR_QUALITY, at.INTERVAL_S[1], trust_at=3)
     return _EachSecond(rate, judge, _Beating(find, judge), state)
 
 

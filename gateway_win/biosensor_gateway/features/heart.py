@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from statistics import median
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,8 +16,6 @@ from biosensor_gateway.features.runs import Array, Event
 
 NOTHING = math.nan
 HR_QUALITY = "hr_live_quality"
-_QUALITY_AGE_S = 1.5
-"""How old the newest quality of a window may be; there is one every second."""
 
 
 class Variability(NamedTuple):
@@ -134,9 +133,10 @@ class Heart:
         last = [each for each in self._kept if each.stamp > self._stamp - window_s]
         valid = [each for each in last if each.is_valid]
         low, high = at.RATE_INTERVAL_S
-        taken = valid
-        quality = self._quality(window_s + _QUALITY_AGE_S)
-        if len(valid) < at.HR_VALID_SHARE * len(last):
+        taken = _usual(valid)
+        quality = self._quality(window_s + at.HR_QUALITY_AGE_S)
+        few = min(at.HR_FEW_INVALID, at.HR_FEW_SHARE * len(last))
+        if len(last) - len(valid) > max(few, (1 - at.HR_VALID_SHARE) * len(last)):
             # Either the rhythm is irregular, and the valid intervals would be a biased choice; or
             # the signal is bad, and none can be used.
             is_good = self._trust is None or quality >= at.GOOD_QUALITY
@@ -172,6 +172,14 @@ class Heart:
             values += [*found, share]
             beside += [float(len(valid)), covered, self._quality(window_s), NOTHING]
         return [Event("hrv_live", self._stamp, (*values, *beside))]
+
+
+def _usual(intervals: Sequence[_Interval]) -> list[_Interval]:
+    """Return the intervals that are not far from their median."""
+    middle = median([each.length_s for each in intervals] or [NOTHING])
+    most = at.HR_USUAL_TIMES
+    # nothing is dropped: hr_live_quality says how many are left
+    return [each for each in intervals if middle / most <= each.length_s <= middle * most]
 
 
 def _covered(intervals: Sequence[_Interval], end_s: float, window_s: float) -> float:

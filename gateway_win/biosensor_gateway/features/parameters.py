@@ -92,6 +92,13 @@ RATE_INTERVAL_S = (0.24, 2.5)
 HR_WINDOW_S, HR_LEAST = 10.0, 3
 HR_VALID_SHARE = 0.8
 """With fewer valid intervals all count if the signal is good, and none does if it is not."""
+HR_FEW_INVALID, HR_FEW_SHARE = 3, 0.4
+"""One false beat makes three intervals invalid; up to this share of few is no irregular rhythm."""
+HR_USUAL_TIMES = 1.7
+"""By this factor, valid intervals may differ from their median: two beats missed in a row make two
+long intervals, of which the second is like the one before."""
+HR_QUALITY_AGE_S = 5.0
+"""So long before a window the signal counts, too: an artefact hides the next pulses for 3 s."""
 HRV_WINDOWS_S = (30.0, 60.0, 300.0)
 HRV_LEAST_SHARE = 0.8
 """With fewer valid intervals in a window, or where these cover less of it, there is no value."""
@@ -121,6 +128,12 @@ BREATH_HYSTERESIS = 0.3
 BREATH_BLOCK_S, BREATH_BLOCKS = 3.0, 7
 """How long the signal is looked at to say how far it moves, and of how many of these the median is
 taken."""
+BREATH_BLOCKS_LONG, BREATH_LONG_SHARE = 24, 0.8
+"""The upper quartile of so many blocks, 72 s, outlasts a breath that is held for 50 s."""
+BREATH_NOISE_TIMES, BREATH_NOISE_SHARE = 6.0, 0.6
+"""A turn is this many standard deviations of noise, but this share of the usual span is enough."""
+OF_MEDIAN = 1.4826
+"""Standard deviation of normal values, relative to the median of their sizes."""
 BREATH_INTERVAL_S = (1.0, 20.0)
 BR_WINDOW_S, BR_LEAST = 30.0, 2
 BR_ALIKE = 1.6
@@ -187,6 +200,9 @@ more."""
 PPG_SECOND_FRACTION_HZ, PPG_SECOND_FRACTIONS = 0.2, (2, 3, 4)
 """What is so near to such a part of the strongest frequency is the rate of which that is an
 overtone."""
+PPG_HUM_HZ, PPG_HUM_BELOW_HZ, PPG_HUM_SHARE = 3.6, 2.0, (0.08, 0.2)
+"""From the highest rate of hearts on, so much more of all power at one frequency than at any that
+is lower by up to 2 Hz."""
 PPG_SKEWNESS = (-1.0, 0.0)
 """[9]_: a good pulse is skewed to the right."""
 ECG_LIKENESS, PPG_LIKENESS = (0.5, 0.82), (0.76, 0.96)
@@ -201,6 +217,9 @@ ECG_UNEVENNESS, PPG_UNEVENNESS = (1.2, 1.6), (2.0, 4.0)
 """What the wildest block of a window spans, of what the usual one does: electrode pops."""
 ECG_BLOCK_S, PPG_BLOCK_S = 2.0, 1.0
 """The longest interval is as long: a block without a QRS complex spans too little."""
+WEAK_BLOCK_S, WEAK_TIMES = 2.5, (3.0, 6.0)
+"""The longest interval of a rate is as long; and by how much the usual block may span more than
+the narrowest."""
 BREATH_UNEVENNESS = (3.0, 6.0)
 """The same of `BREATH_BLOCK_S`; a sigh is three times as deep as a breath."""
 EDA_RANGE_MICROSIEMENS = (0.05, 60.0)

@@ -97,11 +97,21 @@ def averaged(values: Array, rate: float, wanted_hz: float) -> tuple[Array, float
 
 def unevenness(values: Array, rate: float, block_s: float) -> float:
     """Return the span of the widest block relative to the median block."""
-    length = min(len(values), max(1, round(block_s * rate)))
-    blocks = values[: len(values) // length * length].reshape(-1, length)
-    spans = np.ptp(blocks, axis=1)
-    usual = float(np.median(spans))
+    spans, usual = _spans(values, rate, block_s)
     return float(spans.max()) / usual if usual > 0 else 1.0
+
+
+def _weakness(values: Array, rate: float) -> float:
+    """Return the span of the median block relative to the narrowest; each block has a beat."""
+    spans, usual = _spans(values, rate, at.WEAK_BLOCK_S)
+    return usual / float(spans.min()) if spans.min() > 0 else math.inf
+
+
+def _spans(values: Array, rate: float, block_s: float) -> tuple[Array, float]:
+    """Return the spans of blocks, and their median."""
+    length = min(len(values), max(1, round(block_s * rate)))
+    spans = np.ptp(values[: len(values) // length * length].reshape(-1, length), axis=1)
+    return spans, float(np.median(spans))
 
 
 def _band(values: Array, rate: float, band_hz: tuple[float, float]) -> Array:
@@ -217,7 +227,8 @@ def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
 def ecg(values: Array, rate: float) -> Judged:
     """Judge an ECG by beat similarity, Orphanidou 2015, and by kurtosis and power, Li 2008.
 
-    A part with a much larger span than the others, as from an electrode pop, is noise, too.
+    A part with a much larger span than the others, as from an electrode pop, is noise, too, and so
+    is what changes its height, whose beats are then not all found.
     """
     power = _power(values, rate)
     usual = power(1, 40)
@@ -227,6 +238,7 @@ def ecg(values: Array, rate: float) -> Judged:
         _scaled(_share(usual, power(1, rate)), at.ECG_HUM_SHARE),
         _scaled(ecg_similarity(values, rate), at.ECG_LIKENESS),
         _even(values, rate, at.ECG_UNEVENNESS, at.ECG_BLOCK_S),
+        1 - _scaled(_weakness(values, rate), at.WEAK_TIMES),
     )
     baseline = _scaled(_share(usual, power(0, 40)), at.ECG_BASELINE_SHARE)
     return _judged({"noisy": noisy, "baseline": baseline}, _held(values, rate))
@@ -257,8 +269,33 @@ def _waves(values: Array, rate: float) -> float:
     others = np.abs(frequencies - strongest) > at.PPG_LINE_HZ
     share = _share(float(spectrum[others].sum()), float(spectrum.sum()))
     rounder = min(1.0, at.PPG_ROUND_HZ / strongest) ** 3
-    waves = min(_scaled(share / rounder, at.PPG_OTHER_WAVES), _alone(spectrum, frequencies))
+    waves = min(
+        _scaled(share / rounder, at.PPG_OTHER_WAVES),
+        1 - _scaled(_hum(spectrum, frequencies), at.PPG_HUM_SHARE),
+        _alone(spectrum, frequencies),
+    )
     return min(waves, _scaled(apart(values, rate, strongest), at.PPG_APART)) if waves > 0 else 0.0
+
+
+def _hum(spectrum: Array, frequencies: Array) -> float:
+    """Return the share of power at a frequency too high for a heart, and larger than those below.
+
+    The hum of mains in a slowly sampled pulse is at any frequency, and looks like pulses. Overtones
+    of a steep pulse have less power than the ones before them.
+    """
+    strongest = _top_hz(spectrum, frequencies)
+    is_fast = frequencies >= at.PPG_HUM_HZ
+    if strongest < at.PPG_HUM_HZ:
+        for times in (1, 2):
+            is_fast &= np.abs(frequencies - times * strongest) > at.PPG_LINE_HZ
+    hum = _top_hz(np.where(is_fast, spectrum, 0.0), frequencies)
+    is_below = (frequencies > hum - at.PPG_HUM_BELOW_HZ) & (frequencies < hum - at.PPG_LINE_HZ)
+    below = _top_hz(np.where(is_below, spectrum, 0.0), frequencies)
+    at_hum, at_below = (
+        float(spectrum[np.abs(frequencies - each) < at.PPG_SECOND_NEAR_HZ].sum())
+        for each in (hum, below)
+    )
+    return _share(at_hum - at_below, float(spectrum.sum()))
 
 
 def _alone(spectrum: Array, frequencies: Array) -> float:
@@ -306,8 +343,9 @@ def ppg(values: Array, rate: float) -> Judged:
     shape = _scaled(moment(values, 3), at.PPG_SKEWNESS)
     like = _scaled(ppg_similarity(values, rate), at.PPG_LIKENESS)
     even = _even(values, rate, at.PPG_UNEVENNESS, at.PPG_BLOCK_S)
+    steady = 1 - _scaled(_weakness(values, rate), at.WEAK_TIMES)
     waves = _waves(values, rate)
-    return _judged({"noisy": min(noisy, shape, like, even, waves)}, _held(values, rate))
+    return _judged({"noisy": min(noisy, shape, like, even, steady, waves)}, _held(values, rate))
 
 
 def gsr(values: Array, rate: float) -> Judged:

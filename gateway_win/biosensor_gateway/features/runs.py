@@ -171,12 +171,16 @@ class State:
         Names of the features with the rate, and with its number of intervals.
     every_s
         Longest time between two values while nothing is wrong, in s.
+    trust_at
+        Channel beside with the quality of what the rate was computed from; 0 if there is none.
     """
 
-    def __init__(self, name: str, rate: str, beside: str, every_s: float) -> None:
-        self._name, self._rate, self._beside = name, rate, beside
+    def __init__(
+        self, name: str, rate: str, beside: str, every_s: float, trust_at: int = 0
+    ) -> None:
+        self._name, self._rate, self._beside, self._trust_at = name, rate, beside, trust_at
         self._holds_s = every_s + at.LUMP_S
-        self._stamp = self._value = self._count = self._quality = math.nan
+        self._stamp = self._value = self._count = self._quality = self._trust = math.nan
 
     def note(self, events: Sequence[Event]) -> None:
         """Note the values of events."""
@@ -185,6 +189,7 @@ class State:
                 self._stamp, self._value = each.stamp, each.values[0]
             elif each.feature == self._beside:
                 self._count = each.values[0]
+                self._trust = each.values[self._trust_at] if self._trust_at else math.nan
             elif each.feature == "sqi":
                 self._quality = each.values[0]
 
@@ -196,7 +201,9 @@ class State:
         age_s = stamp - self._stamp
         if not age_s <= self._holds_s:
             return Event(self._name, stamp, (math.nan, age_s, self._quality, math.nan, 0.0))
-        values = (self._value, age_s, self._quality, math.nan, self._count)
+        # A rate is as good as what it was computed from, however good the signal is by now.
+        quality = float(np.fmin(self._quality, self._trust))
+        values = (self._value, age_s, quality, math.nan, self._count)
         return Event(self._name, stamp, values)
 
 
