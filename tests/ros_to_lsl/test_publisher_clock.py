@@ -184,6 +184,51 @@ def test_a_clock_that_is_set_back_by_less_than_a_second_is_found_too() -> None:
     assert clock.edge_s == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.parametrize("rate", [5, 20])
+@pytest.mark.parametrize("step_s", [0.25, 0.5, 0.9, 4.0])
+def test_a_stamp_that_steps_back_shows_at_once_that_the_clock_was_set(
+    step_s: float, rate: int
+) -> None:
+    clock = observed(5.0, 0.001)
+    clock.take_offset(Offset(-0.001, 0.001))
+    true_ns = NOW_NS + 5 * NS_PER_S + NS_PER_S // rate
+    clock.observe(true_ns - round(step_s * NS_PER_S), true_ns)
+    assert clock.state is (ClockState.BEHIND if step_s < BEHIND_S else ClockState.WRONG)
+    assert clock.edge_s == pytest.approx(step_s, abs=0.002)
+
+
+@pytest.mark.parametrize("rate", [0.5, 1])
+@pytest.mark.parametrize("period_s", [20.0, 45.0])
+def test_a_sawtooth_of_half_a_second_is_noticed_on_a_topic_that_is_slow(
+    period_s: float, rate: float
+) -> None:
+    clock = PublisherClock()
+    wrong_s: list[float] = []
+    for number in range(round(300 * rate)):
+        passed_s = number / rate
+        true_ns = NOW_NS + round(passed_s * NS_PER_S)
+        late_s = 0.5 * (passed_s % period_s) / period_s
+        clock.observe(true_ns - round(late_s * NS_PER_S), true_ns + MILLISECOND)
+        if clock.state is ClockState.SYNCHRONISED and late_s > WAY_S + 0.005:
+            wrong_s.append(passed_s)
+    # Not after the clock was set for the second time.
+    assert max(wrong_s) < 2 * period_s + 10 / rate
+    assert clock.state is ClockState.BEHIND
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.45])
+def test_a_clock_that_is_set_to_and_fro_is_not_called_synchronised(share: float) -> None:
+    clock = PublisherClock()
+    for number in range(60 * 20):
+        passed_s = number / 20
+        true_ns = NOW_NS + round(passed_s * NS_PER_S)
+        late_s = 0.3 * (passed_s % 10 > 10 * (1 - share))
+        clock.observe(true_ns - round(late_s * NS_PER_S), true_ns + MILLISECOND)
+        if late_s:
+            assert clock.state is ClockState.BEHIND
+    assert clock.state is ClockState.BEHIND
+
+
 MEASURED = [
     (Offset(-0.501, -0.499), ClockState.WRONG),
     (Offset(-0.001, 0.0005), ClockState.SYNCHRONISED),

@@ -97,8 +97,8 @@ HR_FEW_INVALID, HR_FEW_SHARE = 3, 0.4
 HR_USUAL_TIMES = 1.7
 """By this factor, valid intervals may differ from their median: two beats missed in a row make two
 long intervals, of which the second is like the one before."""
-HR_QUALITY_AGE_S = 5.0
-"""So long before a window the signal counts, too: an artefact hides the next pulses for 3 s."""
+HR_QUALITY_AGE_S = 1.5
+"""How old the newest quality of a window may be; there is one every second."""
 HRV_WINDOWS_S = (30.0, 60.0, 300.0)
 HRV_LEAST_SHARE = 0.8
 """With fewer valid intervals in a window, or where these cover less of it, there is no value."""

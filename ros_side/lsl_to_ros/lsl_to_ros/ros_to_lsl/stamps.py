@@ -23,9 +23,12 @@ BEHIND_S = 1.0
 """No network takes so long; a larger delay is the clock's error."""
 PATIENCE_S = 2.0
 """For this time, late messages may still be explained by a backlog."""
-MOMENT_S, MOMENTS, LEAST_MOMENTS = 0.1, 100, 10
-"""Messages of one moment may have waited together. If in most of the newest moments, at least so
-many, none came in time, the clock is behind, as one that runs slow and is set again and again."""
+MOMENT_S, LONGEST_S, MOMENTS_S, LEAST_MOMENTS = 0.1, 2.0, 10.0, 10
+"""Messages of one moment may have waited together; it lasts until the next one, at most 2 s. If
+in most of the newest moments, at least so many, none came in time, the clock is behind, as one that
+runs slow and is set again and again."""
+MOST_FALLS = 2
+"""A clock that was right and fell behind so often is set again and again: it stays untrusted."""
 _PERIOD_S = 1.0
 
 
@@ -54,7 +57,8 @@ class PublisherClock:
 
     Delays are never negative, so the edge of a correct clock is just above 0. If it is higher, only
     a measurement can separate offset and delay. A clock that was wrong once stays untrusted; one
-    that was right and then behind is trusted again when most messages come in time.
+    that was right and then behind is trusted again when most messages come in time, once. A stamp
+    that steps back shows at once that the clock was set, for messages keep their order.
 
     Attributes
     ----------
@@ -69,11 +73,16 @@ class PublisherClock:
         self._envelope: LowerEnvelope | None = None
         self._lowest = (0.0, math.inf)
         self._newest_s = self._period_begin_s = 0.0
-        self._was_right = False
-        self._moment = 0
-        # The smallest delay of each moment; nothing is dropped: these are delays.
-        self._delays: deque[float] = deque(maxlen=MOMENTS)
+        self._falls = self._moment = 0
+        self._last_ns = 0, 0
+        # Of the newest moments: how long each lasts until the next, and the smallest delay of each.
+        self._lasts_s: deque[float] = deque()
+        self._delays: deque[float] = deque()
         self._usual_s = 0.0
+
+    @property
+    def _was_right(self) -> bool:
+        return self._falls > 0
 
     @property
     def is_in_doubt(self) -> bool:
@@ -101,7 +110,7 @@ class PublisherClock:
             return min(-self.offset.least_s, self.edge_s)
         return self.edge_s
 
-    def observe(self, stamp_ns: int, arrival_ns: int) -> None:
+    def observe(self, stamp_ns: int, arrival_ns: int, *, keep_order: bool = True) -> None:
         """Add the times of a message.
 
         Parameters
@@ -110,6 +119,8 @@ class PublisherClock:
             By the publisher's clock, in nanoseconds since 1970.
         arrival_ns
             By this computer's clock.
+        keep_order
+            Whether messages come in the order of their stamps, as those of one publisher do.
         """
         if self._envelope is None:
             self._begin(stamp_ns, arrival_ns)
@@ -129,9 +140,23 @@ class PublisherClock:
         # If the clock was measured to be right, late messages are due to the network.
         is_right = self.state is ClockState.SYNCHRONISED and self.offset is None
         limit_s = WAY_S if is_right else BEHIND_S
-        if self.state is not ClockState.WRONG and self._usual_s > limit_s:
-            self.state, self._was_right = _late_state(self._usual_s), True
-            self._begin(stamp_ns, arrival_ns)
+        last_stamp_ns, last_arrival_ns = self._last_ns
+        back_s = (last_stamp_ns - stamp_ns) / NS_PER_S
+        is_later = keep_order and arrival_ns >= last_arrival_ns
+        has_stepped = is_later and min(back_s, delay_s) > WAY_S
+        self._last_ns = stamp_ns, arrival_ns
+        if self.state is ClockState.SYNCHRONISED and has_stepped:
+            # What was measured, and how late messages were, is of the time before.
+            self.offset = None
+            self._forget_delays(delay_s)
+            self._fall(stamp_ns, arrival_ns)
+        elif self.state is not ClockState.WRONG and self._usual_s > limit_s:
+            self._fall(stamp_ns, arrival_ns)
+
+    def _fall(self, stamp_ns: int, arrival_ns: int) -> None:
+        self._falls += self.state is not ClockState.BEHIND
+        self.state = _late_state(self._usual_s)
+        self._begin(stamp_ns, arrival_ns)
 
     def _add_to_moment(self, delay_s: float, arrival_ns: int) -> None:
         moment = arrival_ns // round(MOMENT_S * NS_PER_S)
@@ -140,8 +165,17 @@ class PublisherClock:
             return  # nothing is dropped: it came with others
         if len(self._delays) >= LEAST_MOMENTS:
             self._usual_s = median(self._delays)
+        # A pause tells nothing, so it does not make the delays before it old.
+        self._lasts_s.append(min(LONGEST_S, (moment - self._moment) * MOMENT_S))
         self._delays.append(delay_s)
+        while len(self._delays) > LEAST_MOMENTS and math.fsum(self._lasts_s) > MOMENTS_S:
+            self._lasts_s.popleft()
+            self._delays.popleft()
         self._moment = moment
+
+    def _forget_delays(self, delay_s: float) -> None:
+        self._delays, self._lasts_s = deque([delay_s]), deque([0.0])
+        self._usual_s = delay_s
 
     def _begin(self, stamp_ns: int, arrival_ns: int) -> None:
         self._first_delay_ns, self._first_arrival_ns = arrival_ns - stamp_ns, arrival_ns
@@ -172,10 +206,8 @@ class PublisherClock:
             if delay_s <= WAY_S and not self._was_right:
                 self.state = ClockState.SYNCHRONISED
                 # They came late by the way.
-                self._delays.clear()
-                self._delays.append(delay_s)
-                self._usual_s = 0.0
-            elif self._was_right and self._usual_s <= WAY_S:
+                self._forget_delays(delay_s)
+            elif 0 < self._falls < MOST_FALLS and self._usual_s <= WAY_S:
                 self.state = ClockState.SYNCHRONISED
             elif self.state is ClockState.UNKNOWN and self._newest_s > PATIENCE_S:
                 self.state = _late_state(self.edge_s)
@@ -301,9 +333,12 @@ class MessageStamping:
             return  # nothing is dropped: its stamps are not used
         arrival_ns = info["received_timestamp"]
         if self._has_header and (stamp_ns := _header_ns(message)):
-            self.clocks[StampSource.HEADER].observe(stamp_ns, arrival_ns)
+            self._observe(StampSource.HEADER, stamp_ns, arrival_ns)
         if info["source_timestamp"]:
-            self.clocks[StampSource.SOURCE].observe(info["source_timestamp"], arrival_ns)
+            self._observe(StampSource.SOURCE, info["source_timestamp"], arrival_ns)
+
+    def _observe(self, source: StampSource, stamp_ns: int, arrival_ns: int) -> None:
+        self.clocks[source].observe(stamp_ns, arrival_ns, keep_order=not self.is_mixed)
 
     def look(self, now_ns: int) -> None:
         """Update the clocks' states by the elapsed time."""
