@@ -142,7 +142,12 @@ class Running:
         self._recording = LocalRecorder(folder)
         self._recorder = RecorderFolder(folder)
         self._recorder.path.mkdir()
-        self._recorder.save(SavedRecording(str(file), (), STARTED))
+        self._saved = SavedRecording(str(file), (), STARTED)
+        self._recorder.save(self._saved)
+
+    def is_without(self, *sources: str) -> None:
+        """Note that the user was asked, and does without these."""
+        self._recorder.save(replace(self._saved, without=sources))
 
     def findings(self, devices: list[dict[str, Any]] | None) -> list[tuple[Level, str, str]]:
         standing = self._recording.status(devices)
@@ -168,9 +173,17 @@ def test_a_pause_is_amber_with_its_sentence_and_its_streams_are_not_red(running:
 
 
 def test_who_was_away_before_it_began_is_amber(running: Running) -> None:
+    running.is_without("one-id", "one-other-id")
     away = device("one-id", state="discovering", since=STARTED - 5)
     ((level, code, _),) = running.findings([away, device("two-id")])
     assert (level, code) == (Level.WARNING, "away")
+
+
+def test_who_is_lost_while_the_streams_are_being_opened_is_red(running: Running) -> None:
+    """Nobody was asked: it was there when *Record* was clicked."""
+    away = device("one-id", state="connecting", since=STARTED - 5)
+    found = running.findings([away, device("two-id")])
+    assert [each[:2] for each in found] == [(Level.ERROR, "away"), (Level.ERROR, "stopped")]
 
 
 def test_who_is_lost_meanwhile_is_red(running: Running) -> None:

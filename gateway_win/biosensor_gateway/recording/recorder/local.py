@@ -201,8 +201,8 @@ class LocalRecorder:
             recorded = {each.source_id for each in streams}
             # Other programs' streams can be recorded without an agent.
             if devices is not None or saved.required:
-                findings += away_findings(devices, recorded, saved.started)
-            silent = excused(devices, saved.started)
+                findings += away_findings(devices, recorded, saved.started, saved.without)
+            silent = excused(devices, saved.started, saved.without)
             findings += growth.problems(saved.required, silent)
             findings += growth.story(own_events(), agent_started_s)
             findings.sort(key=lambda each: list(Level).index(each.level))

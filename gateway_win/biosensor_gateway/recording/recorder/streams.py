@@ -258,9 +258,11 @@ def doubles(presence: Presence) -> Iterator[str]:
         )
 
 
-def excused(devices: Devices | None, started: float) -> frozenset[str]:
+def excused(
+    devices: Devices | None, started: float, without: Collection[str] = ()
+) -> frozenset[str]:
     """Return the source_ids that may be silent: switched off, or of a sensor known to be away."""
-    away = (each.sources for each in absences(devices or ()) if _is_known(each, started))
+    away = (each.sources for each in absences(devices or ()) if _is_known(each, started, without))
     silent = (
         source
         for device in devices or ()
@@ -271,7 +273,10 @@ def excused(devices: Devices | None, started: float) -> frozenset[str]:
 
 
 def away_findings(
-    devices: Devices | None, recorded: Collection[str], started: float
+    devices: Devices | None,
+    recorded: Collection[str],
+    started: float,
+    without: Collection[str] = (),
 ) -> Iterator[Finding]:
     """Yield findings about sensors that are not being recorded now.
 
@@ -281,13 +286,15 @@ def away_findings(
         The source_ids in the file; empty while unknown.
     started
         Start of the recording in Unix time.
+    without
+        The source_ids of sensors that were away at the start, of which the user knew.
     """
     if devices is None:
         text = "the agent does not run, so nothing of its sensors is recorded"
         yield Finding(Level.ERROR, "no-agent", "", text)
         return  # nothing is dropped: that no agent runs is told
     for each in absences(devices):
-        level = Level.WARNING if _is_known(each, started) else Level.ERROR
+        level = Level.WARNING if _is_known(each, started, without) else Level.ERROR
         yield Finding(level, "away", "", each.sentence)
     for device, name in zip(devices, names(devices, "'s "), strict=True):
         sources = device["streams"].keys()
@@ -300,7 +307,12 @@ def away_findings(
             yield Finding(Level.ERROR, "left-out", "", text)
 
 
-def _is_known(absence: Absence, started: float) -> bool:
-    """Whether the user knows: paused the sensor, or started recording without it."""
+def _is_known(absence: Absence, started: float, without: Collection[str]) -> bool:
+    """Whether the user knows: paused the sensor, or started recording without it.
+
+    One that went away while the streams were being opened was there when the user was asked.
+    """
+    if absence.is_paused or absence.is_partial:
+        return True
     was_before = absence.since is not None and absence.since <= started
-    return absence.is_paused or absence.is_partial or was_before
+    return was_before and absence.sources <= frozenset(without)
