@@ -21,6 +21,7 @@ from pylsl.lib import lib
 from biosensor_common.doctor.check import Level
 from biosensor_common.doctor.probe import Probe
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.doctor.context import Context, read_context
 from tests.doctor.conftest import POLAR, ZEPHYR, above_ok, only
 from tests.doctor.outlets import Offered
@@ -85,6 +86,18 @@ def test_a_state_folder_that_is_none(examine: Examine, context: Context, tmp_pat
 def test_looking_makes_nothing(examine: Examine, context: Context) -> None:
     assert not above_ok(examine(context, "settings"))[1:]
     assert not context.state_folder.exists()
+
+
+def test_streams_are_counted_that_the_agent_would_open(
+    configured: Callable[[str], Context],
+) -> None:
+    assert configured("").streams_to_open == 0
+    one, both = configured(POLAR), configured(POLAR + ZEPHYR.format("COM3"))
+    of_polar, of_zephyr = (len(declaration(each).streams) for each in ("polar_h10", "zephyr"))
+    # Those of no sensor are the same, however many sensors there are.
+    assert one.streams_to_open > of_polar
+    assert both.streams_to_open - one.streams_to_open == of_zephyr
+    assert configured(POLAR + "enabled = false\n").streams_to_open == 0
 
 
 def test_a_running_agent_is_shown(

@@ -16,6 +16,7 @@ from biosensor_gateway.page.experiments.conversation import (
     BrowserClock,
     Exchange,
 )
+from biosensor_gateway.page.experiments.markers import Pace
 from biosensor_gateway.system import browser
 from biosensor_gateway.system.browser import apps
 
@@ -156,3 +157,19 @@ def test_the_file_is_where_browsers_may_read_and_no_disk_is_full(
 def test_where_no_file_can_be_written_the_browser_is_not_given_the_address(tmp_path: Path) -> None:
     way = browser.WayIn("http://127.0.0.1:1/door?token=x", str(tmp_path / "not" / "there" / "open"))
     assert not browser.open_page(way, in_window=True)
+
+
+# How many markers a page may send.
+
+
+def test_a_page_sends_some_markers_at_once_and_then_as_many_as_its_pace_allows() -> None:
+    now = 100.0
+    pace = Pace(per_s=2.0, at_once=3, clock=lambda: now)
+    assert [pace.allows() for _ in range(5)] == [True] * 3 + [False] * 2
+    now += 0.4
+    assert not pace.allows()
+    now += 0.1
+    assert [pace.allows() for _ in range(2)] == [True, False]
+    # What was not used is not saved beyond what may come at once.
+    now += 3600.0
+    assert [pace.allows() for _ in range(4)] == [True] * 3 + [False]

@@ -344,6 +344,7 @@ def test_a_preview_says_what_a_change_would_do() -> None:
         (["withdraw", "", "."], "'withdraw' is empty"),
         (["doctor", "--with", ""], "'--with' is empty"),
         (["doctor", "--code", "123456"], "--code needs --with"),
+        (["run", "--fault", "drop:5s@1s"], "add --simulate"),
     ],
 )
 def test_an_empty_or_lonely_argument_is_refused(
