@@ -587,3 +587,17 @@ def test_two_equal_values_around_a_gap_are_no_flat_signal() -> None:
     for stamp in (0.0, 20.0, 40.0):
         constants.note("ecg", [5.0], [stamp], refusals)
     assert not refusals.present
+
+
+def test_of_a_stream_that_does_not_send_nothing_is_said() -> None:
+    constants, refusals = Constants(declaration("polar_h10")), Refusals()
+    for second in range(15):
+        constants.note("ecg", [5.0, 5.0], [second, second + 0.5], refusals)
+    constants.look(15.0)
+    assert refusals.present
+    constants.look(20.5)
+    assert not refusals.present
+    # It is said again once it sends again for long.
+    for second in range(30, 45):
+        constants.note("ecg", [5.0, 5.0], [second, second + 0.5], refusals)
+    assert refusals.present

@@ -163,6 +163,7 @@ class DeviceSink:
         """Push states that wait for a receiver; call it about once per second."""
         self._outlets.release()
         self._jumps.release()
+        self._constants.look(self.clock())
         if garbled := self.dropped_bytes - self._told_bytes:
             self._told_bytes += garbled
             self.refusals.refuse(Refusal.GARBLED, garbled)

@@ -243,6 +243,11 @@ class Constants:
         for stream in self._streams.values():
             stream.restart()
 
+    def look(self, now: float) -> None:
+        """Report nothing more of streams that do not send at this LSL time."""
+        for stream in self._streams.values():
+            stream.look(now)
+
 
 class _Constant:
     """The channels of one stream; *limit_s* is how long one may have the same value."""
@@ -251,12 +256,18 @@ class _Constant:
         self._stream, self._limit_s = stream, limit_s
         self._may_rest = np.array([each.may_rest for each in stream.channels])
         self._told = ""
+        self._refusals: Refusals | None = None
         self.restart()
 
     def restart(self) -> None:
         self._values = np.full(len(self._may_rest), np.nan)
         self._since_s = np.full(len(self._may_rest), np.inf)
         self._newest_s = np.inf
+
+    def look(self, now: float) -> None:
+        if self._told and self._refusals and now - self._newest_s > self._limit_s / 2:
+            self._told = ""
+            self._refusals.over(Refusal.FLAT)
 
     def note(self, rows: NDArray[np.float64], first_s: float, last_s: float, to: Refusals) -> None:
         """Process a block of samples, shape [samples, channels], with its first and last stamp."""
@@ -273,7 +284,7 @@ class _Constant:
             return  # nothing is dropped: all is well
         told = self._sentence(np.flatnonzero(flat).tolist())
         if told != self._told:
-            self._told = told
+            self._told, self._refusals = told, to
             to.hold(Refusal.FLAT, bool(told), channels=told, limit_s=self._limit_s)
 
     def _sentence(self, flat: Sequence[int]) -> str:

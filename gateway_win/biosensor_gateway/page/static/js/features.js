@@ -89,13 +89,16 @@ function shownValue(feature, state) {
 }
 
 function Row({ live, device, feature }) {
-  const quality = qualityOf(device, feature);
   const state = stateOf(device, feature);
+  const value = shownValue(feature, state);
+  // Where there is no value, nothing is good.
+  const known = qualityOf(device, feature);
+  const quality = value === "–" && known?.tone === "good" ? null : known;
   const what = state?.value == null ? feature.channels[0] : `${feature.channels[0]}, mean of ${state.intervals} intervals`;
   return html`
     <span class="small" title=${feature.data_name}>${NUMBERS.get(feature.data_name)}</span>
     <${Spark} live=${live} stream=${feature} />
-    <span class=${`value small ${quality?.tone === "bad" ? "doubtful" : ""}`} title=${what} data-feature=${feature.data_name}>${shownValue(feature, state)}</span>
+    <span class=${`value small ${quality?.tone === "bad" ? "doubtful" : ""}`} title=${what} data-feature=${feature.data_name}>${value}</span>
     <span class="state small ${quality?.tone ?? ""}" title=${quality ? `quality of ${quality.signal}: ${quality.word}` : ""}>
       <span aria-hidden="true">${quality?.sign}</span>${quality && html`<span class="hidden">quality ${quality.word}</span>`}
     </span>`;
