@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import time
@@ -16,13 +17,18 @@ from biosensor_gateway.agent import feature_refusals
 from biosensor_gateway.agent.agent import problems_of, snapshot
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.feature_refusals import STALE_AFTER_S, FeatureRefusals
+from biosensor_gateway.agent.status import AgentStatus
+from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.cli import features
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.verdict import Colour, verdict
+from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.gateway.test_new_file import NoDriver
 from tests.rigs.memory_links import MemoryOutlet
+from tests.rigs.polling import until
 from tests.xdf.test_participants import judged
 
 
@@ -112,3 +118,27 @@ def test_without_a_word_there_is_no_file_and_a_damaged_one_does_no_harm(tmp_path
     (tmp_path / "features-1.json").write_text("{")
     (tmp_path / "features-2.json").write_bytes(b"\xff")
     assert feature_refusals.read(tmp_path) == []
+
+
+@pytest.mark.nightly
+async def test_an_agent_that_goes_on_in_another_session_is_told_until_it_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
+    monkeypatch.setattr(features, "_LOOK_S", 0.01)
+    refusals = Refusals()
+
+    def sends_in(session: str) -> None:
+        status = AgentStatus(session=session, written=time.time())
+        write_status(tmp_path, status.model_dump())
+
+    sends_in("lab7")
+    looking = asyncio.create_task(features.watch_session(LslSettings(session_id="lab7"), refusals))
+    await asyncio.sleep(0.1)
+    assert not refusals.present
+    sends_in("lab8")
+    await until(lambda: refusals.present)
+    assert "in the LSL session lab8" in refusals.present[0].sentence
+    sends_in("lab7")
+    await until(lambda: not refusals.present)
+    looking.cancel()

@@ -27,7 +27,12 @@ from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import state_folder
 
 if TYPE_CHECKING:
+    from biosensor_common.refusal import Refusals
     from biosensor_gateway.features.sources import Source
+
+
+_LOOK_S = 2.0
+"""How often the session of the agent is looked at."""
 
 
 def features(
@@ -78,18 +83,15 @@ async def watch_live(lsl: LslSettings) -> None:
     """Compute features of live streams until cancelled."""
     from biosensor_common.lsl.network import configure_lsl
     from biosensor_gateway.agent.feature_refusals import FeatureRefusals
-    from biosensor_gateway.agent.status_file import other_session, read_status
     from biosensor_gateway.features.live import Live
 
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
     say("looking for raw streams; end it by Ctrl-C")
-    with contextlib.suppress(ConfigError):
-        if other := other_session(read_status(state_folder()), lsl.overrides):
-            say(f"! {other}, nor have features")
     refusals = FeatureRefusals(state_folder())
     live = Live(_PrintingListener(), report=refusals.write)
     work = asyncio.get_running_loop().run_in_executor(None, live.run, stopping)
+    watching = asyncio.create_task(watch_session(lsl, live.refusals))
     try:
         await asyncio.shield(work)
     except asyncio.CancelledError:
@@ -97,7 +99,26 @@ async def watch_live(lsl: LslSettings) -> None:
         await work
         raise
     finally:
+        watching.cancel()
         refusals.close()
+
+
+async def watch_session(lsl: LslSettings, refusals: Refusals) -> None:
+    """Report while the agent of this computer is in another LSL session than this program."""
+    from biosensor_common.refusal import Refusal
+    from biosensor_gateway.agent.status_file import other_session, read_status
+
+    while True:
+        session = ""
+        with contextlib.suppress(ConfigError):
+            status = read_status(state_folder())
+            session = status["session"] if other_session(status, lsl.overrides) else ""
+        why = (
+            f"the agent sends in the LSL session {session}, and `features` looks in another one; "
+            "end it and start it again"
+        )
+        refusals.hold(Refusal.NO_FEATURES, bool(session), about="this agent", why=why)
+        await asyncio.sleep(_LOOK_S)
 
 
 def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> None:
