@@ -275,6 +275,27 @@ def test_a_wrong_rate_in_a_header_costs_no_beat(tmp_path: Path, header_hz: float
     assert remark.startswith(f"amp: its header says {header_hz:g} Hz; it is taken as 130 Hz, that")
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("is_burst", [False, True])
+def test_the_begin_of_a_recording_with_overlaps_costs_no_sample(
+    tmp_path: Path, seed: int, is_burst: bool
+) -> None:
+    """Live, what came before the first overlap has been passed on; a recording tells beforehand."""
+    path = tmp_path / "study.xdf"
+    signal, beats = signals.ecg(130, 60)
+    late = np.random.default_rng(seed).exponential(0.02, len(signal) // 73 + 1)
+    number = np.arange(len(signal))
+    measured = number // 73 * 73 + 72 if is_burst else number
+    stamps: list[float] = (BEGIN_S + measured / 130 + late[number // 73]).tolist()
+    header = made.stream_header(1, "strap", kind="ECG", rate=130.0, desc=_described("mV"))
+    rows = signal[:, np.newaxis].tolist()
+    path.write_bytes(made.xdf(header, made.samples(1, "float32", rows, stamps)))
+    told = json.loads(CliRunner().invoke(_COMMAND, [str(path), "--json"]).output)
+    (count,) = [count for name, count in told["streams"].items() if name.endswith("-beats")]
+    assert count == pytest.approx(len(beats), abs=2)
+    assert not any("left out" in each for each in told["remarks"])
+
+
 def test_stamps_in_milliseconds_are_no_silence(tmp_path: Path) -> None:
     path = tmp_path / "study.xdf"
     stamps: list[float] = (1e3 * (BEGIN_S + np.arange(2600) / 130)).tolist()

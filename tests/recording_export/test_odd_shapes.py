@@ -63,12 +63,12 @@ def _played(player: Player) -> list[int]:
     """Play without waiting; return how many samples of each stream were sent."""
     sent = [_Sent() for _ in player.streams]
     pairs = zip(sent, player.streams, strict=True)
-    tracks = [Track(each, stream.blocks()) for each, stream in pairs]  # type: ignore[arg-type]
+    tracks = [Track(each, player.samples(stream)) for each, stream in pairs]  # type: ignore[arg-type]
     timeline = Timeline(0.0, player.begin_s, 1.0)
     while tracks and (track := min(tracks, key=lambda each: each.due_s)).due_s < math.inf:
         track.send(track.due_s, timeline)
     for each, stream in zip(sent, player.streams, strict=True):
-        times = [time for block in stream.blocks() for time in block.times.tolist()]
+        times = [time for block in player.samples(stream) for time in block.times.tolist()]
         assert each.times == times
     return [len(each.times) for each in sent]
 

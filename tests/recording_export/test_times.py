@@ -12,6 +12,7 @@ import pytest
 from edfio import read_bdf
 from numpy.typing import NDArray
 
+from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.contents.choice import Selection, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export import kubios, runs
@@ -383,6 +384,69 @@ def test_no_drift_is_taken_to_go_on_for_ever() -> None:
     assert added[1:3] == pytest.approx([OFFSET_S, OFFSET_S + 555 * DRIFT], abs=1e-6)
     assert np.abs(added[[0, 3, 4]] - OFFSET_S).max() <= reach + 60 * DRIFT + 1e-6
     np.testing.assert_allclose(clock.to_sender(clock.to_recorder(stamps)), stamps, atol=1e-6)
+
+
+def _unix(part: slice, *, is_marker: bool) -> bytes:
+    """A stream, or its markers, of which a part has Unix stamps."""
+    stamps, moments = BEGIN_S + np.arange(5200) / RATE, BEGIN_S + 2.0 * np.arange(20)
+    changed = moments if is_marker else stamps
+    changed[part] += 1.7e9
+    clock = (BEGIN_S, BEGIN_S + 40.0)
+    texts = [[f"m{each}"] for each in range(20)]
+    values = np.sin(np.arange(5200, dtype=np.float32))[:, np.newaxis].tolist()
+    return made.xdf(
+        made.stream_header(1, "ecg", kind="ECG", rate=RATE, source_id="a"),
+        made.samples(1, "float32", values, stamps.tolist()),
+        made.offsets(1, clock),
+        made.footer(1, 5200),
+        made.stream_header(2, "told", kind="Markers", fmt="string", source_id="b"),
+        made.samples(2, "string", texts, moments.tolist()),
+        made.offsets(2, clock),
+        made.footer(2, 20),
+    )
+
+
+@pytest.mark.parametrize(
+    ("part", "is_marker"),
+    [
+        (slice(2600, None), False),
+        (slice(None, 2600), False),
+        (slice(2600, 3100), False),
+        (slice(10, None), True),
+        (slice(7, 8), True),
+    ],
+)
+def test_stamps_that_are_of_another_clock_in_part_are_told_everywhere(
+    part: slice, is_marker: bool, exported: Exporting, tmp_path: Path
+) -> None:
+    content = _unix(part, is_marker=is_marker)
+    report = check(content)
+    name = "told" if is_marker else "ecg"
+    (found,) = (each for each in report.findings if each.code == "wrong-clock")
+    assert (found.level, found.stream) == (Level.ERROR, name)
+    assert "unix time" in found.text
+    # Nothing was lost, and the recording is as long as it was.
+    assert all(not each.figures.gaps.count for each in report.streams)
+    assert 38.0 <= report.extent.length_s <= 40.0
+
+    outcome = exported(content, "csv", "edf", "bids", "mcap")
+    assert not outcome.is_whole
+    assert any(each.startswith(f"{name}: ") and "unix" in each for each in outcome.clock_notes)
+    assert len(_rows(_of(outcome, "csv").path / "ecg.csv")) == 5200
+    files = sorted(_of(outcome, "edf").path.glob("*.bdf"))
+    told = {note.text for each in files for note in read_bdf(each).annotations}
+    assert {f"m{each}" for each in range(20)} <= told
+
+    path = tmp_path / "rec.xdf"
+    path.write_bytes(content)
+    assert any("unix" in each for each in compute(path, tmp_path / "f.csv").remarks) != is_marker
+    with open_contents(path) as contents:
+        player = Player(choose(contents, Selection()), PlayOptions(), "hash")
+        assert player.end_s - player.begin_s < 41
+        assert not player.is_whole
+        assert any("not played" in each for each in playback.left_out(player))
+        played = [each for stream in player.streams for each in player.samples(stream)]
+        assert max(float(each.times.max()) for each in played) < BEGIN_S + 41
 
 
 def test_a_replay_plays_the_others_and_says_so(tmp_path: Path) -> None:

@@ -37,6 +37,9 @@ class EvenStamps:
     ----------
     rate
         Nominal rate in Hz; above 0.
+    is_uneven
+        Whether stamps are known to need it, as of a recording. Live, samples before the first
+        overlap are passed on at once, and some after it come too early to follow them.
 
     Attributes
     ----------
@@ -46,13 +49,13 @@ class EvenStamps:
         Rate of the newest samples; None while there are too few to say.
     """
 
-    def __init__(self, rate: float) -> None:
+    def __init__(self, rate: float, *, is_uneven: bool = False) -> None:
         self._rate = rate
         self._section = max(FEWEST, math.ceil(SECTION_S * rate))
         self.pace: Pace | None = None
         self.rate_hz: float | None = None
         self._early_s = list(reversed(_EARLY_S))
-        self._is_held = False
+        self._is_held = self._is_uneven = is_uneven
         self._last = -math.inf
         self._passed = 0
         self._history = np.empty(0)
@@ -133,7 +136,7 @@ class EvenStamps:
                 begin = len(history) - len(stamps) - sum(len(each) for each, _ in self._waiting)
                 ready = [(self._even(history, begin, stamps), values)]
         # A section that was passed had no bursts, even if the history has some.
-        self._is_held = self._is_held and self.pace is not None
+        self._is_held = self._is_uneven or (self._is_held and self.pace is not None)
         if not self._is_held:
             self._next = None
         if len(new[0]):
@@ -147,7 +150,7 @@ class EvenStamps:
         pace = find_pace(history, self._rate)
         if len(history) >= _SECTIONS_FOR_RATE * self._section:
             self.rate_hz = 1 / pace.period_s
-        return None if pace.burst == 1 and not pace.overlap_s else pace
+        return pace if self._is_uneven or pace.burst > 1 or pace.overlap_s else None
 
     def _even(self, history: Array, begin: int, stamps: Array) -> Array:
         """Return stamps on the line for the samples from index `begin` of the history on."""

@@ -29,7 +29,11 @@ from biosensor_gateway.features.sources import (
     stream_info,
 )
 from biosensor_gateway.features.witnesses import Witnesses
-from biosensor_gateway.recording.contents.opening import open_contents, with_true_rates
+from biosensor_gateway.recording.contents.opening import (
+    has_uneven_stamps,
+    open_contents,
+    with_true_rates,
+)
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.participants import compare_file
 from biosensor_gateway.recording.xdf import writing
@@ -104,9 +108,9 @@ def compute(path: Path, target: Path) -> Computed:
             if each.untimed
         ]
         remarks += [
-            f"{each.header.title}: {each.clock_error}, so the times of its features are in doubt"
+            f"{each.header.title}: {why}, so the times of its features are in doubt"
             for each in read
-            if each.clock_error
+            if (why := each.clock_error or each.part_error)
         ]
         remarks += [
             f"{each.header.title}: {span.text(contents.begin_s)}"
@@ -222,7 +226,7 @@ def _computed(
     stream: Stream, source: Source, witnesses: Witnesses, remarks: list[str]
 ) -> Iterator[tuple[Samples, list[Event]]]:
     # A copy, because the computer of a witness would replace the one of the whole recording.
-    computer = source.new_computer(dict(witnesses))
+    computer = source.new_computer(dict(witnesses), is_uneven=has_uneven_stamps(stream))
     samples: Samples | None = None
     for samples in stream.blocks():
         yield samples, computer.take(samples.stamps, samples.values)

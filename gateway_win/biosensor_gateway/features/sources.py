@@ -98,7 +98,9 @@ class Source:
         """Its key among the witnesses."""
         return self.identity, self.header.content_type
 
-    def new_computer(self, witnesses: Witnesses | None = None) -> Computer:
+    def new_computer(
+        self, witnesses: Witnesses | None = None, *, is_uneven: bool = False
+    ) -> Computer:
         """Return a new computation of its features, which begins with its first sample.
 
         Parameters
@@ -106,8 +108,10 @@ class Source:
         witnesses
             Of all devices; if this source is a witness, it is added, and replaces another one with
             its first sample.
+        is_uneven
+            Whether stamps are known to come in bursts or to overlap.
         """
-        return Computer(self, {} if witnesses is None else witnesses)
+        return Computer(self, {} if witnesses is None else witnesses, is_uneven=is_uneven)
 
     def new_witness(self, keep_s: float = at.MOTION_KEPT_S) -> Witness | None:
         """Return a new witness for its samples; None if the source cannot be a witness."""
@@ -126,8 +130,9 @@ class Source:
 class Computer:
     """Computes the features of one source from samples in blocks of any size."""
 
-    def __init__(self, source: Source, witnesses: Witnesses) -> None:
+    def __init__(self, source: Source, witnesses: Witnesses, *, is_uneven: bool = False) -> None:
         header = source.header
+        self._is_uneven = is_uneven
         self._source = source
         self._witness, self._witnesses = source.new_witness(), witnesses
         if self._witness is not None:
@@ -138,7 +143,9 @@ class Computer:
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
         self._earlier: list[Runs] = []
         self._channels = source.columns.stop - source.columns.start
-        self._even_stamps = EvenStamps(header.rate) if header.foreign and header.rate > 0 else None
+        self._even_stamps = None
+        if header.foreign and header.rate > 0:
+            self._even_stamps = EvenStamps(header.rate, is_uneven=is_uneven)
 
     def take(self, stamps: Array, values: object) -> list[Event]:
         """Take samples in the source's unit, of shapes (n,) and (n, n_channels)."""
@@ -170,7 +177,7 @@ class Computer:
         events = self._computed(*even_stamps.finish(self._channels))
         self._earlier.append(self._runs)
         self._runs = new_runs(header.content_type, self._rate, foreign=header.foreign)
-        self._even_stamps = EvenStamps(self._rate)
+        self._even_stamps = EvenStamps(self._rate, is_uneven=self._is_uneven)
         return events
 
     def _computed(self, stamps: Array, scaled: Array) -> list[Event]:

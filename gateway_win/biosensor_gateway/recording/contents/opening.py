@@ -14,7 +14,7 @@ from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.event_rules import other_agent_told
 from biosensor_gateway.recording.xdf.measuring import first_of, is_exact, may_have_rate
-from biosensor_gateway.recording.xdf.pace import find_pace, rate_of
+from biosensor_gateway.recording.xdf.pace import Pace, find_pace, rate_of
 from biosensor_gateway.recording.xdf.recording import StreamSorter
 from biosensor_gateway.recording.xdf.stream_rules import MIN_SAMPLES_FOR_RATE, WRONG_RATE
 
@@ -144,14 +144,24 @@ def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list
     return tuple(found), notes
 
 
+def has_uneven_stamps(stream: Stream) -> bool:
+    """Whether the stamps of another program's stream come in bursts or overlap."""
+    pace = _pace(stream)
+    return pace is not None and (pace.burst > 1 or pace.overlap_s > 0)
+
+
 def _true_rate(stream: Stream) -> float | None:
+    pace = _pace(stream)
+    return None if pace is None else 1.0 / pace.period_s
+
+
+def _pace(stream: Stream) -> Pace | None:
+    """Return the pace of the first samples; None if each stamp is exact, or there are too few."""
     header = stream.header
     if not header.is_regular or header.is_markers or is_exact(header) or stream.order_error:
         return None
     stamps = first_of(samples.stamps for samples in stream.blocks())
-    if len(stamps) < MIN_SAMPLES_FOR_RATE:
-        return None
-    return 1.0 / find_pace(stamps, header.rate).period_s
+    return find_pace(stamps, header.rate) if len(stamps) >= MIN_SAMPLES_FOR_RATE else None
 
 
 def with_rates(

@@ -23,7 +23,14 @@ from biosensor_gateway.recording.xdf.container import (
     RecordingReason,
 )
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import Course, clock_error, order_error
+from biosensor_gateway.recording.xdf.measuring import (
+    Course,
+    clock_bounds,
+    clock_error,
+    is_between,
+    off_in_part,
+    order_error,
+)
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
@@ -65,6 +72,8 @@ class IndexedStream:
         Number of texts that are not UTF-8, so their encoding was guessed.
     untimed
         Number of samples with a NaN or infinite timestamp.
+    earliest, latest
+        Range of the other timestamps.
     """
 
     header: RecordedHeader
@@ -73,6 +82,8 @@ class IndexedStream:
     sample_count: int = 0
     guessed_texts: int = 0
     untimed: int = 0
+    earliest: float = np.inf
+    latest: float = -np.inf
     # Arrays instead of a list of places, because a day has millions of chunks.
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
@@ -96,7 +107,10 @@ class IndexedStream:
         self._last = last
         self.sample_count += len(block.stamps)
         self.guessed_texts += block.guessed
-        self.untimed += len(block.stamps) - int(np.count_nonzero(np.isfinite(block.stamps)))
+        finite = block.stamps[np.isfinite(block.stamps)]
+        self.untimed += len(block.stamps) - len(finite)
+        self.earliest = float(finite.min(initial=self.earliest))
+        self.latest = float(finite.max(initial=self.latest))
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
         """Add one of `clock_offsets`."""
@@ -224,7 +238,7 @@ class Stream:
         other = copy(self)
         other.header = replace(self.header, rate=rate_hz)
         other.meaning = replace(self.meaning, rate=rate_hz)
-        for cached in ("clock_error", "order_error"):
+        for cached in ("clock_error", "order_error", "part_error"):
             other.__dict__.pop(cached, None)
         return other
 
@@ -262,6 +276,25 @@ class Stream:
         return clock_error(self.header, self.clock_offsets, self._course, self.sample_count)
 
     @cached_property
+    def part_error(self) -> str:
+        """How many of its timestamps are not on an LSL clock, as in `xdf check`; empty if none."""
+        if self.clock_error or self.clock.restarts:
+            return ""
+        return off_in_part(
+            self.header,
+            self.clock_offsets,
+            (self._indexed.earliest, self._indexed.latest),
+            lambda: (each.stamps for each in self.blocks()),
+        )
+
+    def on_clock(self, samples: Samples) -> Samples:
+        """Return those of its samples that are on an LSL clock, if only a part of them is."""
+        if not self.part_error:
+            return samples
+        bounds = clock_bounds(self.header, self.clock_offsets)
+        return samples.picked(is_between(samples.stamps, bounds))
+
+    @cached_property
     def order_error(self) -> str:
         """Why its stamps do not tell when a sample was measured; empty if they do."""
         return order_error(self.header, self._course, self.sample_count)
@@ -293,6 +326,10 @@ class Stream:
         Within a chunk, timestamps are almost always ascending.
         """
         found = self._indexed.end_stamps()
+        if self.part_error:
+            found = found.ravel()
+            bounds = clock_bounds(self.header, self.clock_offsets)
+            found = found[is_between(found, bounds)]
         if len(found) and self.clock.restarts:
             places = zip(found, self._indexed.places(), strict=True)
             times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]

@@ -215,10 +215,9 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             yield f"{each.header.title}: {each.clock.unused}"
         for span in each.clock.doubtful_spans:
             yield f"{each.header.title}: {span.text(chosen.contents.begin_s)}"
-        if each.clock_error:
+        if why := each.clock_error or each.part_error:
             yield Missing(
-                f"{each.header.title}: {each.clock_error}, so its time relative to the "
-                "other streams is unknown"
+                f"{each.header.title}: {why}, so its time relative to the other streams is unknown"
             )
 
 

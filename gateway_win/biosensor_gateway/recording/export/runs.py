@@ -261,8 +261,12 @@ class Runs:
         if inside:
             yield f"events {BAD_GAP} mark where it continues after a gap; {instead} there"
         if len(files) > 1:
-            steps = sum(not run.lost for each in files for run in each.runs) - 1
-            cuts = ["gaps"] * bool(lost) + ["steps back in time"] * bool(steps)
+            runs = [run for each in files for run in each.runs]
+            steps = [
+                after.begin_s < before.begin_s for before, after in pairwise(runs) if not after.lost
+            ]
+            cuts = ["gaps"] * bool(lost) + ["steps back in time"] * any(steps)
+            cuts += ["steps to another clock"] * (not all(steps))
             why = " and ".join(cuts) or "gaps"
             yield f"{why} cut it into {len(files)} files"
         if inside and (away_s := max(each.away_s for each in files)) > max(

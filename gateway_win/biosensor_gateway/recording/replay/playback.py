@@ -172,7 +172,9 @@ def left_out(player: Player) -> Iterator[str]:
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
             yield f"warning: {name}: {samples} not played, because their stamps are not numbers"
-        if each.steps_far_back:
+        if each.part_error:
+            yield f"warning: {name}: {each.part_error}; those samples are not played"
+        elif each.steps_far_back:
             yield (
                 f"warning: {name}: its time steps back {_times(each.steps_far_back)}; what follows "
                 "is sent at once, until the time before is reached again"

@@ -113,7 +113,9 @@ class Player:
     @property
     def is_whole(self) -> bool:
         """Whether all samples of the selected streams are played."""
-        return not self.left_out and not any(each.untimed for each in self.streams)
+        return not self.left_out and not any(
+            each.untimed or each.part_error for each in self.streams
+        )
 
     @property
     def damages(self) -> tuple[Damage, ...]:
@@ -212,9 +214,14 @@ class Player:
         return ReplayError(ReplayReason.EMPTY, message)
 
     def _tracks(self) -> list[Track]:
-        return [
-            Track(self._outlets[each.number], self._chosen.samples(each)) for each in self.streams
-        ]
+        return [Track(self._outlets[each.number], self.samples(each)) for each in self.streams]
+
+    def samples(self, stream: Stream) -> Iterator[Samples]:
+        """Yield the samples of a stream that are played."""
+        for samples in self._chosen.samples(stream):
+            # Those of another clock would be due in years.
+            if len(kept := stream.on_clock(samples)):
+                yield kept
 
     def _play(self, tracks: Sequence[Track], timeline: Timeline, stopping: threading.Event) -> None:
         # The number breaks ties between tracks due at the same time.

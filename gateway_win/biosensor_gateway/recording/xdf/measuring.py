@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from biosensor_common.device_clock import READING_LIMIT_S
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.pace import (
+    FEW_ASTRAY,
     FEWEST,
     MOST_LOST,
     SECTION,
@@ -37,6 +38,8 @@ MOST_GAPS_LISTED = 100
 MAX_STAMP_ERROR_S = 30.0
 # LSL's clock starts when the computer boots, and no computer is assumed to run for longer.
 MAX_UPTIME_S = 366 * 86400.0
+# A stamp further from all that was measured of a clock while it was recorded is not that clock's.
+FAR_OFF_S = 86400.0
 # Unix times from 2001 to 2286.
 _UNIX_S = (1e9, 1e10)
 
@@ -138,6 +141,8 @@ class Figures:
     found_hz: float | None = None
     pauses: Gaps = Gaps()
     furthest_back_s: float = 0.0
+    part_error: str = ""
+    """How many timestamps are not on the LSL clock, where others are; empty if none."""
 
     @property
     def span_s(self) -> float:
@@ -169,7 +174,11 @@ def _measure(stream: RecordedStream) -> Figures:
         cuts = cuts_of(blocks(), header)
         pace = None if cuts is None else cuts.pace
         stray = () if pace is None else pace.stray
-    course = Course.of(_without(blocks(), stray))
+    part_error = ""
+    if not clock.resets:
+        part_error = off_in_part(header, offsets, (own.first, own.last), stream.stamps_in_blocks)
+    bounds = clock_bounds(header, offsets) if part_error else None
+    course = Course.of(_within(_without(blocks(), stray), bounds))
     gaps, rate_between_gaps_hz, backward_steps, furthest_back_s = Gaps(), None, 0, 0.0
     if pace is not None:
         gaps, rate_between_gaps_hz = _gaps_of(pace), 1.0 / pace.period_s
@@ -183,7 +192,7 @@ def _measure(stream: RecordedStream) -> Figures:
         first=course.first if course.count else None,
         last=course.last if course.count else None,
         backward_steps=backward_steps,
-        bad_stamps=held - course.count - len(stray),
+        bad_stamps=held - own.count,
         rate_hz=_rate(course),
         rate_between_gaps_hz=rate_between_gaps_hz,
         gaps=gaps,
@@ -193,6 +202,7 @@ def _measure(stream: RecordedStream) -> Figures:
         pace=pace,
         found_hz=found_hz,
         furthest_back_s=furthest_back_s,
+        part_error=part_error,
     )
 
 
@@ -217,6 +227,18 @@ def _without(
         here = places[(places >= done) & (places < done + len(stamps))] - done
         done += len(stamps)
         yield np.delete(stamps, here) if len(here) else stamps
+
+
+def _within(
+    blocks: Iterable[NDArray[np.float64]], bounds: tuple[float, float] | None
+) -> Iterator[NDArray[np.float64]]:
+    for stamps in blocks:
+        yield stamps if bounds is None else stamps[is_between(stamps, bounds)]
+
+
+def is_between(stamps: NDArray[np.float64], bounds: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which stamps are in a range; those that are no number are not."""
+    return (stamps >= bounds[0]) & (stamps <= bounds[1])
 
 
 @dataclass(slots=True)
@@ -257,14 +279,16 @@ class Course:
         return course
 
 
-def _following(blocks: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
-    """Yield the finite timestamps of each block, with the last one before it."""
+def _following(
+    blocks: Iterable[NDArray[np.float64]], *, is_alone: bool = False
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the finite timestamps of each block, with the last one before it unless alone."""
     before = np.empty(0)
     for block in blocks:
         finite = block[np.isfinite(block)]
         if len(finite):
             yield np.concatenate([before, finite])
-            before = finite[-1:]
+            before = finite[-1:] if not is_alone else before
 
 
 def may_have_rate(header: RecordedHeader) -> bool:
@@ -456,6 +480,52 @@ def clock_error(
     return ""
 
 
+def clock_bounds(
+    header: RecordedHeader, offsets: Sequence[tuple[float, float]]
+) -> tuple[float, float]:
+    """Return between which stamps, in s, a stream is on its computer's LSL clock."""
+    times = [time for time, _ in offsets if time and is_reading(time)]
+    if times:
+        low_s = -math.inf if header.may_be_older else min(times) - FAR_OFF_S
+        return low_s, max(times) + FAR_OFF_S
+    since = header.created_at if math.isfinite(header.created_at) else 0.0
+    return -math.inf, since + MAX_UPTIME_S
+
+
+def off_in_part(
+    header: RecordedHeader,
+    offsets: Sequence[tuple[float, float]],
+    span: tuple[float, float],
+    blocks: Callable[[], Iterable[NDArray[np.float64]]],
+) -> str:
+    """Say how many stamps of a stream are not on the LSL clock; empty if none or all are.
+
+    Parameters
+    ----------
+    span
+        Its earliest and latest timestamp, in s.
+    blocks
+        Gives all of them.
+    """
+    low, high = clock_bounds(header, offsets)
+    if low <= span[0] and span[1] <= high:
+        return ""
+    count = off = 0
+    away_s, unix = 0.0, ""
+    for stamps in _following(blocks(), is_alone=True):
+        far = stamps[~is_between(stamps, (low, high))]
+        count, off = count + len(stamps), off + len(far)
+        if len(far) and not away_s:
+            first = float(far[0])
+            away_s = max(low - first, first - high) + FAR_OFF_S
+            unix = " (they are unix time)" if _UNIX_S[0] < first < _UNIX_S[1] else ""
+    # Single ones of a regular stream are far from their neighbours, and told as such.
+    if off == count or off <= (FEW_ASTRAY if header.is_regular else 0):
+        return ""
+    away = seconds_text(away_s)
+    return f"{off} of its {count} stamps are about {away} away from the LSL clock{unix}"
+
+
 def order_error(header: RecordedHeader, course: Course, sample_count: int) -> str:
     """Say why stamps of a regular stream do not tell when a sample was measured; empty if they do.
 
@@ -469,7 +539,8 @@ def order_error(header: RecordedHeader, course: Course, sample_count: int) -> st
     steps = course.count - 1
     if not course.back and not course.ahead:
         return "its stamps are all the same" if steps > 0 else ""
-    if course.back > course.ahead:
+    # The ends of a single chunk do not tell what is between them.
+    if course.back > course.ahead and steps > 1:
         return "its stamps decrease from sample to sample"
     # Stamps of a clock that was set step back now and then, those of no clock all the time.
     if course.far_back > max(3, steps / 8):

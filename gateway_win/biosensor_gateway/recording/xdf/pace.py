@@ -23,7 +23,9 @@ MOST_LOST = 1_000_000_000
 """Limit of the estimate, for timestamps that jump to another clock."""
 STEP_BACK_S = 1.0
 """Larger steps back mean another clock, or a clock that was set."""
-_FEW = 3
+FEW_ASTRAY = 3
+LONGEST_PAUSE_S = 366 * 86400.0
+"""No recording is longer, so a step ahead by more is to another clock, and no loss."""
 NO_PAUSE_S = 3600.0
 """A longer pause followed by only a few samples is not plausible."""
 _FEWEST_FOR_RATE = 200
@@ -183,6 +185,8 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         for begin, rest in zip(bounds, rests, strict=False)
         for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
     ]
+    turns = sorted([*turns, *(each.at for each in holes if each.length_s > LONGEST_PAUSE_S)])
+    holes = [each for each in holes if each.length_s <= LONGEST_PAUSE_S]
     cuts = sorted({0, *(each.at for each in holes), *turns, len(stamps)})
     lines = [_Line.through(stamps, *ends, period_s, window) for ends in pairwise(cuts)]
     usual_s = max(period_s, _UNUSUAL * spread_s)
@@ -412,13 +416,13 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
         if is_stray[at] or is_stray[at - 1]:
             continue
         away_s = abs(stamps[at] - stamps[at - 1])
-        for behind in range(at + 1, min(at + 1 + _FEW, len(stamps))):
+        for behind in range(at + 1, min(at + 1 + FEW_ASTRAY, len(stamps))):
             if abs(stamps[behind] - stamps[at - 1]) <= away_s / 2:
                 is_stray[at:behind] = True
                 break
         else:
             # An outlet that closes while it is recorded may leave garbage after its last sample.
-            is_last = at + _FEW >= len(stamps) > 2 * _FEW
+            is_last = at + FEW_ASTRAY >= len(stamps) > 2 * FEW_ASTRAY
             if is_last and away_s > NO_PAUSE_S:
                 is_stray[at:] = True
     return is_stray
@@ -437,7 +441,7 @@ def _moving(stamps: Array, nominal_s: float) -> tuple[Array, float, list[Standst
     begins = np.flatnonzero(~is_same[:-1] & is_same[1:])
     ends = np.flatnonzero(is_same[:-1] & ~is_same[1:]) + 1
     counts = ends - begins
-    usual = float(np.median(counts)) if len(counts) >= _FEW else 1.0
+    usual = float(np.median(counts)) if len(counts) >= FEW_ASTRAY else 1.0
     least = max(FEWEST, 3 * usual, STEP_BACK_S / period_s)
     found: list[Standstill] = []
     for place in np.flatnonzero(counts > least).tolist():

@@ -111,4 +111,6 @@ class Report:
         is_broken = bool(damages or recording.orphans or recording.renumbered)
         ends = (each.figures.pace for each in self.streams)
         is_broken |= any(pace is not None and pace.ends_astray for pace in ends)
-        return (is_broken or is_open) and any(each.sample_count for each in recording.streams)
+        # Of a header that cannot be read, salvaging may fix the form.
+        has_samples = bool(recording.orphans) or any(e.sample_count for e in recording.streams)
+        return (is_broken or is_open) and has_samples

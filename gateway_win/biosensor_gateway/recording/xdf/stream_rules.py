@@ -115,6 +115,8 @@ def _stamps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     figures = measured.figures
     if figures.clock_error:
         yield Level.ERROR, "wrong-clock", figures.clock_error
+    if figures.part_error:
+        yield Level.ERROR, "wrong-clock", figures.part_error
     if figures.bad_stamps:
         yield Level.ERROR, "bad-stamps", f"{figures.bad_stamps} of its timestamps are not numbers"
     if figures.pace is not None and figures.pace.stray:
@@ -293,7 +295,10 @@ def _extent(measured: Measured, extent: Extent) -> Iterator[Verdict]:
             f"it begins {seconds_text(late_s, 1)} after the recording",
         )
     early_s = extent.length_s - extent.since_begin(figures.last, measured)
-    if early_s > LATE_S:
+    stood = figures.pace.standstills if figures.pace else ()
+    stands = bool(stood) and stood[-1].at + stood[-1].count == measured.stream.sample_count
+    # A clock that stands still to the end does not tell when the end was.
+    if early_s > LATE_S and not stands:
         yield (
             Level.WARNING,
             "ends-early",
