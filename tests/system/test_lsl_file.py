@@ -6,6 +6,7 @@ for multicast: without the file it misses streams, with the file it records them
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -20,7 +21,9 @@ import pytest
 import pyxdf
 
 from biosensor_common.lsl.api_file import home_config_file
-from biosensor_gateway.settings.places import SETTINGS_VARIABLE
+from biosensor_gateway.recording.recorder.program import LAB_RECORDER
+from biosensor_gateway.recording.recorder.state import RecorderFolder
+from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE
 from tests.rigs.hosts.lan import NETWORK, Host, Lan
 from tests.rigs.hosts.programs import Program
 from tests.rigs.lab_recorder import PROGRAM
@@ -35,7 +38,7 @@ DEADLINE_S = 60.0
 TRIES_WITHOUT = 2
 _FOUND = re.compile(r"^Found (\S+)@", re.MULTILINE)
 # Variables that name another configuration of LSL, or other settings of the agent.
-_CHOSEN = {"LSLAPICFG", SETTINGS_VARIABLE}
+_CHOSEN = {"LSLAPICFG", SETTINGS_VARIABLE, STATE_VARIABLE, "XDG_STATE_HOME"}
 # Nothing but unicast gets in.
 _NO_MULTICAST = """table inet office {
     chain arriving {
@@ -185,6 +188,24 @@ def test_without_a_network_labrecorder_needs_the_file(tmp_path: Path) -> None:
     assert all(outcome.found < OUTLETS for outcome in without)
     assert any(outcome.found for outcome in without)
     assert with_file[-1] == ALL
+
+
+@pytest.mark.parametrize(
+    "own", ["", "[multicast]\nResolveScope = machine\n", "[lab]\nKnownPeers = {10.9.9.9}\n"]
+)
+def test_without_a_network_our_recording_needs_no_file(own: str, tmp_path: Path) -> None:
+    with Host("lab-pc") as host:
+        user = at_work(host, tmp_path)
+        if own:
+            user.configuration.parent.mkdir(parents=True)
+            user.configuration.write_text(own)
+        command = ["-m", "biosensor_gateway.cli", "record"]
+        with outlets(user):
+            said = user.run(*command, "start", "--here", "--folder", str(tmp_path), "--json")
+            saved = RecorderFolder(user.folder / ".local/state/biosensor-gateway").saved()
+            user.run(*command, "stop")
+    assert saved is not None
+    assert (saved.recorder, len(json.loads(said)["streams"])) == (LAB_RECORDER, OUTLETS)
 
 
 def test_the_file_does_no_harm_to_programs_that_take_it_over(tmp_path: Path) -> None:

@@ -15,7 +15,14 @@ from pathlib import Path
 
 import psutil
 
-from biosensor_common.lsl.api_file import LslOverrides, config_here
+from biosensor_common.lsl.api_file import (
+    LOOPBACK,
+    PEERS,
+    LslOverrides,
+    changed,
+    config_here,
+    known_peers,
+)
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.program import (
@@ -284,6 +291,18 @@ class LocalRecorder:
         return "the recording's supervisor was killed, and the recording ended with it"
 
 
+def _asking_itself(config: str) -> str:
+    """Return an LSL configuration with which this computer is asked directly, too.
+
+    Without a network, or if LSL keeps to this computer, LabRecorder's program (liblsl 1.17) finds
+    by multicast one stream of many.
+    """
+    peers = known_peers(config)
+    if LOOPBACK in peers:
+        return config
+    return changed(config, {PEERS: "{" + ", ".join([LOOPBACK, *peers]) + "}"})
+
+
 class _Starter:
     """Starts supervisors until a program has found and opened all streams.
 
@@ -295,7 +314,7 @@ class _Starter:
     ) -> None:
         self._state, self._recording, self._growth_s = state, recording, growth_s
         self._folder = RecorderFolder(state)
-        self._config = config_here(lsl)
+        self._config = _asking_itself(config_here(lsl))
 
     def start(
         self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]
