@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from sys import float_info
 
-HEART_RATE_BPM = (0.0, 300.0)
-"""The heart's ventricles beat at most 300 times a minute."""
+HEART_RATE_BPM = (10.0, 300.0)
+"""The heart's ventricles beat at most 300 times a minute; who sends 0 has found no beat."""
 BEAT_INTERVAL_S = (0.1, 64.0)
 """From half the shortest interval to the longest that a 16-bit field of 1/1024 s can hold."""
 BEAT_UNCERTAINTY_S = (0.0, 64.0)
@@ -19,7 +19,9 @@ VARIABILITY_MS = (0.0, 32_000.0)
 BREATHING_RATE_BPM = (0.0, 200.0)
 """Even the fastest panting stays below this rate."""
 TEMPERATURE_C = (-50.0, 100.0)
-SATURATION_PERCENT = PERCENT = (0.0, 100.0)
+PERCENT = (0.0, 100.0)
+SATURATION_PERCENT = (1.0, 100.0)
+"""Who sends 0 has found no blood."""
 CONDUCTANCE_US = (-100.0, 10_000.0)
 """An amplifier's offset may give negative values, and touching electrodes give thousands."""
 BIOPOTENTIAL_UV = (-1e6, 1e6)

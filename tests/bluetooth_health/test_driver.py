@@ -236,6 +236,8 @@ def test_a_long_stop_is_as_long_as_it_was() -> None:
         (0x07FF, 72, [math.nan, 72.0, math.nan], True),
         (97, 0x07FF, [97.0, math.nan, math.nan], True),
         (0x07FF, 0x07FF, None, False),
+        (0, 0, [0.0, 0.0, math.nan], False),
+        (0, 0x07FF, [0.0, math.nan, math.nan], False),
     ],
 )
 def test_what_an_oximeter_finds_does_not_wait_for_the_rest(

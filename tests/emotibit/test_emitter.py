@@ -156,6 +156,12 @@ def test_an_interval_that_no_heart_has_is_refused(sender: Sender, interval_ms: f
     assert sum(each.count(Refusal.IMPLAUSIBLE) for each in sender.sink.refused.values()) == 1
 
 
+@pytest.mark.parametrize("rate", [0, -1, 400])
+def test_a_rate_that_no_heart_has_is_refused(sender: Sender, rate: float) -> None:
+    sender.send(1000, ("EA", 0.5), ("HR", rate))
+    assert sum(each.count(Refusal.IMPLAUSIBLE) for each in sender.sink.refused.values()) == 1
+
+
 def test_intervals_of_one_packet_end_one_after_another(sender: Sender) -> None:
     sender.send(1000, ("EA", 0.5))
     sender.send(3000, ("EA", 0.5), ("BI", 800.0, 900.0), ("HR", 71))

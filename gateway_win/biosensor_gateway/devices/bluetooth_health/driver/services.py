@@ -244,7 +244,8 @@ def _thermal(_: float) -> Sampling:
 
 
 def _worn(found: Values) -> bool | None:
-    if math.isnan(found["SpO2"]) and math.isnan(found["pulse"]):
+    # Some send 0 where others send that there is no value.
+    if not any(found[each] > 0 for each in ("SpO2", "pulse")):
         return False
     return not int(found["device_status"]) & _OFF if "device_status" in found else True
 
