@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli.trial import expected_streams, print_verdict
+from biosensor_gateway.cli.trial import Trial, expected_streams, print_verdict, require_writable
 from biosensor_gateway.demo.demonstration import first_devices
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_names, settings_models
@@ -316,3 +316,17 @@ def _remaining(session: int) -> list[str]:
         ["ps", "-o", "args=", "-s", str(session)], capture_output=True, text=True, check=False
     )
     return listed.stdout.splitlines()
+
+
+@pytest.mark.parametrize(("name", "why"), [("file", "it is not a folder"), ("file/x", "Not a dir")])
+def test_a_folder_for_a_try_out_that_cannot_be_is_said_before_anything_is_started(
+    tmp_path: Path, name: str, why: str
+) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=f"{why}.*choose another --folder"):
+        Trial(tmp_path / name, None, opens=False).run(every=False)
+
+
+def test_a_folder_for_a_try_out_is_only_looked_at_before(tmp_path: Path) -> None:
+    require_writable(tmp_path / "new" / "one")
+    assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import tempfile
 import time
@@ -10,7 +11,13 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from biosensor_common.errors import GatewayError, TransportError, TransportReason
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    GatewayError,
+    TransportError,
+    TransportReason,
+)
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.quantities import waits_for_receivers
 from biosensor_gateway.agent.control import stop_agent
@@ -58,6 +65,30 @@ _TABLES = "csv"
 _PAGE = "page"
 
 
+def require_writable(folder: Path) -> None:
+    """Check it before everything is started; leave nothing behind.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if no file can be made in the folder, or the folder not be made.
+    """
+    made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        why = error.strerror or error
+        if isinstance(error, FileExistsError):
+            why = "it is not a folder"
+        message = f"cannot write to {folder}: {why}; choose another --folder"
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error
+    finally:
+        for each in made:
+            with suppress(OSError):
+                each.rmdir()
+
+
 class Trial:
     """One run of ``try``.
 
@@ -83,8 +114,9 @@ class Trial:
         Raises
         ------
         GatewayError
-            If a program does not start or does not answer.
+            If a program does not start or does not answer, or the folder cannot be written.
         """
+        require_writable(self._output_folder)
         devices, left_out = fitting_devices(Room.here()) if every else (first_devices(), "")
         with ExitStack() as stack:
             work = stack.enter_context(
