@@ -361,6 +361,7 @@ def test_messages_that_are_none_are_counted(tmp_path: Path) -> None:
     ("name", "content", "reason"),
     [
         ("a.mcap", b"nonsense", BagReason.NOT_A_BAG),
+        ("b.mcap", b"", BagReason.NOT_A_BAG),
         ("a.db3", b"nonsense" * 100, BagReason.NOT_A_BAG),
         ("a.bag", b"#ROSBAG V2.0", BagReason.NOT_A_BAG),
         ("a.mcap", b"\x89MCAP0\r\n", BagReason.EMPTY),

@@ -26,7 +26,7 @@ from biosensor_gateway.recording.xdf.salvage.outcome import (
 )
 from biosensor_gateway.recording.xdf.verdict import judge
 from tests.xdf import xdf_file as made
-from tests.xdf.checking import Rows, load_by_pyxdf, rows, salvaged
+from tests.xdf.checking import Rows, check, load_by_pyxdf, rows, salvaged
 
 # What is written of cut and damaged recordings, and what is said to be lost.
 
@@ -394,6 +394,8 @@ WRONG: dict[str, tuple[Callable[[str], str], str]] = {
 @pytest.mark.parametrize("name", WRONG)
 def test_a_header_of_a_wrong_form_costs_no_sample(name: str, tmp_path: Path) -> None:
     change, told = WRONG[name]
+    # The check says where to go on.
+    assert check(_broken(change)).can_be_salvaged
     outcome, file, _ = salvaged(_broken(change), tmp_path)
     assert rows(file)["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
     (sentence,) = (each for each in after_table(outcome) if "was fixed" in each)

@@ -159,8 +159,10 @@ def read_mcap(path: Path, note: Note) -> Iterator[Message]:
         If it cannot be read.
     """
     with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            message = f"{path} is not a bag: it does not begin like an MCAP file"
+        head = file.read(len(MAGIC))
+        if head != MAGIC:
+            why = "it does not begin like an MCAP file" if head else "it is empty"
+            message = f"{path} is not a bag: {why}"
             raise BagError(BagReason.NOT_A_BAG, message)
         yield from _File(path, note).read(file)
 
