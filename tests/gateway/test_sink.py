@@ -96,8 +96,8 @@ def test_what_waits_for_a_busy_computer_is_no_step_of_the_device_clock(
 @pytest.mark.parametrize("value", [0, 71])
 def test_a_value_is_sent(sink: DeviceSink, value: int) -> None:
     sink.observe(DEVICE_S, pylsl.local_clock())
-    sink.emit_value("hr", value, DEVICE_S)
-    assert counters(sink, "hr").pushed == 1
+    sink.emit_value("br", value, DEVICE_S)
+    assert counters(sink, "br").pushed == 1
 
 
 def test_no_value_sends_nothing_and_refuses_nothing(sink: DeviceSink) -> None:
