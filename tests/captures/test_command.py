@@ -139,7 +139,7 @@ def test_a_program_cannot_consent(
 ) -> None:
     monkeypatch.setattr(command, "can_ask", lambda: False)
     monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *CAPTURE])
-    with pytest.raises(ConfigError, match="somebody's consent"):
+    with pytest.raises(ConfigError, match="a person's consent"):
         app()(standalone_mode=False)
 
 

@@ -515,7 +515,7 @@ def test_the_options_that_exclude_each_other(run: Callable[..., Outcome]) -> Non
     for arguments in (("--answer", "--with", "robot"), ("--answer", "--only", "ports")):
         outcome = run(*arguments)
         assert outcome.code == 2
-        assert "exclude one another" in " ".join(outcome.out.split())
+        assert "exclude each other" in " ".join(outcome.out.split())
 
 
 @pytest.mark.nightly

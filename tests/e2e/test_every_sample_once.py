@@ -221,7 +221,9 @@ def _use(page: Page, address: str, folder: Path) -> None:
     session.get_by_label("Participant").fill("p01")
     session.get_by_label("Folder").fill(str(folder))
     session.get_by_role("button", name="Record").click()
-    expect(session.get_by_text("recording, all streams grow")).to_be_visible(timeout=DEADLINE_MS)
+    expect(session.get_by_text("recording, all streams are growing")).to_be_visible(
+        timeout=DEADLINE_MS
+    )
     markers = page.get_by_role("region", name="Markers")
     markers.get_by_role("button", name="baseline").click()
     markers.get_by_label("Note").fill("the robot stopped")

@@ -397,7 +397,7 @@ def test_forget_wants_a_sensor_or_all(run: Run, store: Path, arguments: tuple[st
     put(store)
     outcome = run("secrets", "forget", *arguments)
     assert (outcome.code, outcome.out) == (2, "")
-    assert "name a sensor, or say --all" in outcome.err
+    assert "name a sensor, or use --all" in outcome.err
     assert file_keyring.entries(store) == STORED
 
 

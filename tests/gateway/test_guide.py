@@ -250,7 +250,7 @@ def test_ctrl_c_before_the_recording_ends_all_of_it_and_says_so(tmp_path: Path) 
     os.killpg(process.pid, signal.SIGINT)
     rest, _ = process.communicate(timeout=60)
     assert process.returncode == 1, said + rest
-    assert "Ended before all of it was shown." in rest
+    assert "Ended before everything was shown." in rest
     assert not _remaining(process.pid)
     assert not (tmp_path / "home").exists()
 

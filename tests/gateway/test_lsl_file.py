@@ -189,7 +189,7 @@ def test_the_command_uses_the_user_s_settings(run: Run, target: Path, settings: 
     file = LslFile(target.read_text(), str(target))
     assert (file.session_id, file.known_peers) == ("lab2", ("pc7", "10.0.0.5"))
     assert "LSL session: lab2" in outcome.out
-    assert "of pc7, 10.0.0.5 must let in UDP 16571" in outcome.out
+    assert "of pc7, 10.0.0.5 must allow incoming UDP 16571" in outcome.out
     assert "UDP and TCP 16572 to 17171" in outcome.out
 
 
@@ -274,11 +274,14 @@ def test_a_file_that_goes_before_it_is_named(
     here, named = tmp_path / "work" / "lsl_api.cfg", tmp_path / "named.cfg"
     put(here, "[lab]\nSessionID = here\n")
     put(named, "[lab]\nSessionID = named\n")
-    assert f"warning: {here} goes before it" in run("config", "lsl").err
+    assert f"warning: {here} takes precedence over it" in run("config", "lsl").err
     monkeypatch.setenv("LSLAPICFG", str(named))
     outcome = run("config", "lsl", "--force")
     assert outcome.code == 0
-    assert f"{named} goes before it, because the environment variable LSLAPICFG" in outcome.err
+    assert (
+        f"{named} takes precedence over it, because the environment variable LSLAPICFG"
+        in outcome.err
+    )
     # The agent takes over the first file, whatever is in that which is written.
     assert LslFile(target.read_text(), "").session_id == "named"
 

@@ -100,7 +100,7 @@ def test_a_participant_withdraws_and_comes_back(
         assert command(tmp_path, "pause", "zephyr") == (
             0,
             (
-                f"zephyr/{unit} is paused: nothing of it is sent until: "
+                f"zephyr/{unit} is paused: nothing is sent from it until you run: "
                 f"biosensor-gateway resume zephyr/{unit}\n"
             ),
             "",
@@ -117,7 +117,7 @@ def test_a_participant_withdraws_and_comes_back(
         assert command(tmp_path, "pause", "p01")[:2] == (
             0,
             (
-                f"zephyr/{unit} was already paused: nothing of it is sent until: "
+                f"zephyr/{unit} was already paused: nothing is sent from it until you run: "
                 f"biosensor-gateway resume zephyr/{unit}\n"
             ),
         )

@@ -310,7 +310,7 @@ def test_an_editor_is_opened_with_a_warning(
     opened: list[Path] = []
     monkeypatch.setattr(config, "open_in_editor", opened.append)
     edit(recording.with_name("settings.toml"))
-    assert f"a recording goes on, to {recording}" in capsys.readouterr().err
+    assert f"a recording is running, to {recording}" in capsys.readouterr().err
     assert len(opened) == 1
     assert not agent.asked
 

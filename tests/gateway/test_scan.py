@@ -124,7 +124,7 @@ def test_what_no_driver_knows_is_named(run: Run, world: World, radio: Radio) -> 
     lamp = Peripheral(radio, "A0:9E:1A:00:00:01", "Lamp", rssi_dbm=-61)
     world.await_(lamp.power_on([]))
     outcome = run("scan", "--seconds", "2")
-    assert lines_about(outcome, BLUETOOTH) == [f"{BLUETOOTH}: nothing that a driver knows"]
+    assert lines_about(outcome, BLUETOOTH) == [f"{BLUETOOTH}: nothing that any driver knows"]
     assert "  not known to any driver: Lamp (A0:9E:1A:00:00:01, -61 dBm)\n" in outcome.out
 
 

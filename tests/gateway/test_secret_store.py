@@ -379,7 +379,7 @@ def test_an_unknown_key_is_named_with_its_line(
         ("[lsl]\nsession_id = 3", 2, "should be a text in quotes"),
         ('[lsl]\nsession_id = "a\\nb"', 2, "should have only letters, digits"),
         ("[lsl]\nknown_peers = 'pc'", 2, "should be a list in square brackets"),
-        ("[lsl]\nknown_peers = [\n'pc',\n'{x}']", 4, "should be a host name or an IP address"),
+        ("[lsl]\nknown_peers = [\n'pc',\n'{x}']", 4, "must be a host name or an IP address"),
         ("lsl = 3", 1, "'lsl' should be a table"),
         ("[log]\nlevel = 'loud'", 2, "should be 'debug', 'info', 'warning' or 'error', but is"),
         ("[log]\nkeep_files = 0", 2, "'log.keep_files'"),
@@ -534,7 +534,7 @@ def test_the_environment_overrides_the_file(load: Loader, monkeypatch: pytest.Mo
     [
         ("LSL__PORT_RANGE", "many", ConfigReason.WRONG_VALUE, "should be a whole number"),
         ("LSL__KNOWN_PEERS", "a,b", ConfigReason.WRONG_VALUE, "should be a list in JSON"),
-        ("LSL__KNOWN_PEERS", '["a", ""]', ConfigReason.WRONG_VALUE, "should be a host name"),
+        ("LSL__KNOWN_PEERS", '["a", ""]', ConfigReason.WRONG_VALUE, "must be a host name"),
         ("LSL", "x", ConfigReason.WRONG_VALUE, "'lsl' should be a table"),
         ("LSL", '{"sesion_id": "x"}', ConfigReason.UNKNOWN_KEY, "did you mean 'session_id'?"),
         ("LSL__SESION_ID", "x", ConfigReason.UNKNOWN_KEY, "LSL__SESSION_ID'?"),

@@ -208,7 +208,7 @@ def test_a_person_captures_a_device_that_streams_and_it_streams_again(
         page.emulate_media(color_scheme=scheme)
         assert violations(page) == []
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    panel.get_by_label("Into this folder").fill(str(tmp_path / "captures"))
+    panel.get_by_label("Save to this folder").fill(str(tmp_path / "captures"))
     panel.get_by_label(AGREED).check()
     save.click()
     expect(panel.get_by_text("Nothing was sent")).to_be_visible()

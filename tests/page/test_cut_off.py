@@ -102,7 +102,7 @@ def test_the_panel_explains_what_was_found(
     page.goto(Server(programs).address)
     panel = page.get_by_role("region", name="Recording", exact=True)
     panel.get_by_role("button", name="Close and check it").click()
-    expect(panel.get_by_role("heading", name="Data of persons")).to_be_visible()
+    expect(panel.get_by_role("heading", name="Participants' data")).to_be_visible()
     expect(panel.get_by_role("heading", name="Streams of other programs")).to_be_visible()
     found = panel.get_by_role("listitem").filter(has_text="the file breaks off")
     found.get_by_text("What it means, and what to do").click()

@@ -54,7 +54,7 @@ def test_this_computer_is_examined_and_the_command_finds_the_same(
         for each in panel.locator(".findings").first.locator(".state").all_inner_texts()
     ]
     assert levels == sorted(levels, key=["error", "warning", "note"].index)
-    assert "what fixes each" in panel.get_by_role("status").inner_text()
+    assert "how to fix it" in panel.get_by_role("status").inner_text()
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
@@ -100,7 +100,7 @@ def test_a_device_that_was_found_is_tried(
         "POST", "devices/test", f"{cookie.get('name')}={cookie.get('value')}", candidate
     )
     assert answer.status == 409
-    assert "the agent has this device" in json.loads(answer.body)["problem"]
+    assert "the agent is using this device" in json.loads(answer.body)["problem"]
 
 
 def test_a_secret_is_written_and_never_read(server: Server, window: OpenWindow) -> None:
@@ -171,7 +171,9 @@ def test_both_computers_try_the_network_together(
     page, panel = opened(server, window, "dark")
     there, answering = opened(other, window, "light")
     answering.get_by_role("button", name="Answer another computer").click()
-    expect(answering.get_by_text("this computer answers whoever knows the code")).to_be_visible()
+    expect(
+        answering.get_by_text("this computer answers any computer that knows the code")
+    ).to_be_visible()
     code = answering.locator("dd .code").inner_text()
     expect(answering.get_by_text(f"--code {code}").first).to_be_visible()
     assert there.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -184,12 +186,12 @@ def test_both_computers_try_the_network_together(
         (code, "a test stream is found when asked for directly, and received"),
     ):
         panel.get_by_label("Code").fill(typed)
-        panel.get_by_role("button", name="Try the network").click()
+        panel.get_by_role("button", name="Test the network").click()
         if typed == wrong:
             expect(answering.locator("p.reason")).to_have_count(1)
         else:
-            expect(answering.get_by_role("status")).to_contain_text("Another computer is there")
-            expect(answering.get_by_role("button", name="Cancel the answer")).to_be_disabled()
+            expect(answering.get_by_role("status")).to_contain_text("Another computer is connected")
+            expect(answering.get_by_role("button", name="Stop answering")).to_be_disabled()
         expect(panel.locator("li", has_text=sentence).first).to_be_visible()
     for each in (panel, answering):
         expect(each.get_by_role("status")).to_have_text("Streams get through in both directions.")
@@ -206,14 +208,14 @@ def test_an_answer_is_cancelled_and_given_once_at_a_time(
 ) -> None:
     page, panel = opened(server, window, "light")
     panel.get_by_role("button", name="Answer another computer").click()
-    cancel = panel.get_by_role("button", name="Cancel the answer")
+    cancel = panel.get_by_role("button", name="Stop answering")
     expect(cancel).to_be_visible()
     # Another window, or a script.
     (cookie,) = page.context.cookies()
     sent = f"{cookie.get('name')}={cookie.get('value')}"
     second = server.tell("POST", ANSWER, sent, {})
     assert second.status == 409
-    assert "this computer answers already" in json.loads(second.body)["problem"]
+    assert "this computer is already answering" in json.loads(second.body)["problem"]
     cancel.click()
     expect(panel.get_by_role("status")).to_contain_text("no longer answers")
     expect(panel.locator("dd .code")).to_have_count(0)

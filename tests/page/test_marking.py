@@ -45,7 +45,7 @@ def session(tmp_path: Path) -> Session:
     ("answer", "is_running", "said"),
     [
         ({}, True, "Marked: task"),
-        ({}, False, "Marked: task; this page records nothing."),
+        ({}, False, "Marked: task; this page is not recording."),
         ({"received": False}, False, "Marked: task, but no program receives it"),
         # Its stream is not in the file.
         ({"received": False}, True, "Marked: task, but no program receives it"),
@@ -197,7 +197,7 @@ def test_what_is_over_stays_said() -> None:
     # While the agent is away, nobody knows how its sensors are.
     assert told(story) == []
     (note,) = told(story, belt(), belt(unit="C", state="enabling", since=STARTED))
-    assert "Zephyr BioHarness 3 B did not send all that it should from" in note
+    assert "Zephyr BioHarness 3 B did not send all of its data from" in note
     notes = told(story, belt(), belt(unit="C"))
     assert len(notes) == 2
     assert told(story, belt(), belt(unit="C")) == notes
@@ -229,7 +229,7 @@ def test_streams_of_others_are_named_and_live_features_counted() -> None:
     eeg = VisibleStream("amplifier", "", "eeg-pc")
     counted, named = Story(begun(rate, rate, of_other, eeg)).remarks
     assert counted == "2 streams of live features are recorded, too"
-    assert named.startswith("streams of other programs are recorded, too: ")
+    assert named.startswith("streams of other programs are also recorded: ")
     assert "P02-polar_h10-B2-hr_live" in named
     assert "amplifier" in named
 
@@ -254,9 +254,9 @@ def test_a_recording_is_played_marked_and_ended(
     page.get_by_role("banner").get_by_role("button", name="Play a recording").click()
     panel = page.get_by_role("region", name="Play a recording")
     panel.get_by_label("Recording").select_option("another file …")
-    panel.get_by_label("whole path").fill("study.xdf")
-    expect(panel.get_by_role("alert")).to_contain_text("not a whole path")
-    panel.get_by_label("whole path").fill(str(recording))
+    panel.get_by_label("full path").fill("study.xdf")
+    expect(panel.get_by_role("alert")).to_contain_text("not a full path")
+    panel.get_by_label("full path").fill(str(recording))
     expect(panel.get_by_text("0:09:59 long, 3 streams")).to_be_visible()
     panel.get_by_text("Streams: all").click()
     panel.get_by_role("checkbox", name="other").uncheck()

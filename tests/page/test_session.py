@@ -65,7 +65,7 @@ def test_a_session_with_markers_and_a_sensor_that_drops_out(
     session.get_by_label("Task").fill("handover")
     session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
     session.get_by_role("button", name="Record").click()
-    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+    expect(session.get_by_text("recording, all streams are growing")).to_be_visible()
 
     markers = page.get_by_role("region", name="Markers")
     expect(page).to_have_title(f"● recording {DASH} Biosensor Gateway")
@@ -74,7 +74,7 @@ def test_a_session_with_markers_and_a_sensor_that_drops_out(
     markers.get_by_label("Note").fill("the robot 2 stopped")
     # In another view, the recording and the keys are there; Back leaves that view alone.
     card.get_by_role("button", name="Traces and details").click()
-    bar = page.get_by_role("region", name="What is recorded now")
+    bar = page.get_by_role("region", name="Current recording")
     expect(bar.get_by_text("● recording")).to_be_visible()
     page.keyboard.press("2")
     expect(page.locator(".toast")).to_have_text("Marked: task")
@@ -89,12 +89,12 @@ def test_a_session_with_markers_and_a_sensor_that_drops_out(
 
     # A drop-out is red at once in the state, and within seconds for the recording.
     harness.drop_link()
-    expect(session.get_by_text("not all is well")).to_be_visible()
+    expect(session.get_by_text("something is wrong")).to_be_visible()
     expect(session.get_by_role("alert")).to_contain_text("p01's Zephyr BioHarness 3")
-    expect(page).to_have_title(f"▲ recording: not all is well {DASH} Biosensor Gateway")
+    expect(page).to_have_title(f"▲ recording: something is wrong {DASH} Biosensor Gateway")
     harness.restore_link()
     # What went wrong is over, and stays said.
-    expect(session.get_by_text("recording, all streams grow but")).to_be_visible()
+    expect(session.get_by_text("recording, all streams are growing except")).to_be_visible()
     expect(session.get_by_text("p01-zephyr-A: 1 gap so far")).to_be_visible()
 
     session.get_by_role("button", name="Stop recording").click()
@@ -156,7 +156,7 @@ def test_what_cannot_be_recorded_is_said_and_nothing_is_written(
     session = page.get_by_role("region", name="Recording")
     session.get_by_label("Participant").fill("p01")
     for folder, sentence in (
-        ("recordings", "is not a whole path"),
+        ("recordings", "is not a full path"),
         (str(tmp_path / "settings.toml"), "cannot make the folder"),
         (str(tmp_path / "recordings"), "no LSL stream at all"),
     ):
@@ -191,11 +191,11 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
     question = page.get_by_role("dialog", name="A sensor does not stream")
     expect(question).to_contain_text("p01's Zephyr BioHarness 3 is paused since")
     question.get_by_role("button", name="Record without it").click()
-    note = session.get_by_role("list", name="What else is not as it should be")
+    note = session.get_by_role("list", name="Other problems")
     expect(note).to_contain_text("p01's Zephyr BioHarness 3 is paused since")
     expect(page).to_have_title(f"◐ recording, look at it {DASH} Biosensor Gateway")
 
-    bar = page.get_by_role("region", name="What is recorded now")
+    bar = page.get_by_role("region", name="Current recording")
     toast = page.locator(".toast")
     views = ("Find sensors", "Play a recording", "Recordings", "Check this computer", "Help us")
     for number, name in enumerate(views):
@@ -208,7 +208,7 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
         # What is below moves up, away from a click.
         expect(page.get_by_role("button", name="Close")).to_have_count(0)
     # A box that was ticked has the focus and takes no digits; a field does.
-    session.get_by_label("sound and notice").check()
+    session.get_by_label("sound and notification").check()
     page.keyboard.press("2")
     expect(toast).to_have_text("Marked: task")
     page.get_by_label("Note").press("1")
@@ -264,14 +264,14 @@ def test_one_field_sets_the_sensors_and_the_file(
     assert list(tmp_path.rglob("*.xdf")) == []
     session.get_by_role("button", name="Record", exact=True).click()
     question.get_by_role("button", name="Set all sensors to p02, and record").click()
-    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+    expect(session.get_by_text("recording, all streams are growing")).to_be_visible()
     expect(page.get_by_role("heading", name="p02")).to_be_visible()
 
     # A change of the settings that costs the file a sensor is asked about.
     card.get_by_role("button", name="Traces and details").click()
     page.get_by_label("Participant (a pseudonym)").fill("p03")
     page.get_by_role("button", name="Save").click()
-    going_on = page.get_by_role("dialog", name="A recording goes on")
+    going_on = page.get_by_role("dialog", name="A recording is running")
     going_on.get_by_role("button", name="Go back").click()
     page.get_by_role("button", name="Back to all devices").click()
 
@@ -343,19 +343,19 @@ def test_who_looks_elsewhere_hears_of_red_and_buttons_are_named_there(
     expect(markers.get_by_role("button", name="handover")).to_be_visible()
     assert 'buttons = ["rest, eyes closed", "handover"]' in server.programs.settings.read_text()
 
-    session.get_by_label("sound and notice").check()
+    session.get_by_label("sound and notification").check()
     page.reload()
-    expect(session.get_by_label("sound and notice")).to_be_checked()
+    expect(session.get_by_label("sound and notification")).to_be_checked()
     session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
     session.get_by_role("button", name="Record", exact=True).click()
-    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+    expect(session.get_by_text("recording, all streams are growing")).to_be_visible()
     page.keyboard.press("2")
     expect(markers.locator("li", has_text="handover")).to_be_visible()
     assert page.evaluate("window.noticed") == []
     harness.drop_link()
-    expect(page).to_have_title(f"▲ recording: not all is well {DASH} Biosensor Gateway")
+    expect(page).to_have_title(f"▲ recording: something is wrong {DASH} Biosensor Gateway")
     page.wait_for_function("window.noticed.length")
     ((words, problem),) = page.evaluate("window.noticed")
-    assert words == "▲ recording: not all is well"
+    assert words == "▲ recording: something is wrong"
     assert problem
     assert page.evaluate("window.sounds.state") == "running"

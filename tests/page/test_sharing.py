@@ -74,7 +74,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Generator[SharedServer]:
 def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: OpenWindow) -> None:
     host = window()
     host.goto(shared.address)
-    host.get_by_text("Other computers may look on").click()
+    host.get_by_text("Other computers can view this page").click()
     expect(host.locator("code", has_text=shared.view)).to_be_visible()
     assert violations(host) == []
 
@@ -92,7 +92,7 @@ def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: Op
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert violations(page) == []
     # Also below the panel of the recording.
-    bar = page.get_by_role("region", name="What is recorded now")
+    bar = page.get_by_role("region", name="Current recording")
     expect(bar).to_have_count(0)
     page.set_viewport_size({"width": 400, "height": 300})
     page.get_by_role("button").scroll_into_view_if_needed()

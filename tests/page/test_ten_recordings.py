@@ -128,12 +128,12 @@ class Study:
         standing = self._panel.locator(".state")
         if called:
             # It is said from the begin, and nothing else is.
-            expect(standing).to_contain_text("recording, but not all is well")
+            expect(standing).to_contain_text("recording, but something is wrong")
             said = self._panel.get_by_role("alert").get_by_role("listitem")
             expect(said).to_have_count(1)
             expect(said).to_contain_text(f"the file is called {called}")
         else:
-            expect(standing).to_contain_text("recording, all streams grow")
+            expect(standing).to_contain_text("recording, all streams are growing")
             expect(standing).to_have_class(re.compile("good"))
         begun = pylsl.local_clock()
         marked = self._mark(participant, "begin")

@@ -210,9 +210,9 @@ def test_a_socket_of_a_stranger_is_refused(lab: WebLab, origin: str | None) -> N
 
 HELLOS = [
     ('{"type": "hello", "token": "wrong"}', "the token is wrong; biosensor-gateway mark --web"),
-    ('{"type": "mark", "ref": 1, "marker": "x"}', "the first message is hello"),
-    ("{", "the first message is hello"),
-    (b"\x00", "the first message is hello"),
+    ('{"type": "mark", "ref": 1, "marker": "x"}', "the first message must be hello"),
+    ("{", "the first message must be hello"),
+    (b"\x00", "the first message must be hello"),
 ]
 
 
@@ -266,7 +266,7 @@ def test_a_marker_sent_again_is_marked_once(lab: WebLab, reader: MarkerReader) -
 
 @pytest.mark.parametrize(
     ("ahead_s", "sentence"),
-    [(60, "s after it came, and 0.1 s is the limit"), (-4000, "and 3600 s is the limit")],
+    [(60, "s after its arrival, and the limit is 0.1 s"), (-4000, "and the limit is 3600 s")],
 )
 def test_a_time_that_cannot_be_is_refused(lab: WebLab, ahead_s: float, sentence: str) -> None:
     with opened(lab) as page:

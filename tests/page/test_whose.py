@@ -148,7 +148,7 @@ def test_what_costs_a_recording_a_sensor_is_asked_about(
 ) -> None:
     before = paused.settings.read_text()
     code, answer = paused.ask(method, path, content)
-    assert (code, answer["title"]) == (409, "A recording goes on")
+    assert (code, answer["title"]) == (409, "A recording is running")
     assert str(recording) in answer["problem"]
     (choice,) = answer["choices"]
     assert choice["more"] == CONFIRMED
@@ -207,7 +207,7 @@ def test_what_can_be_no_path_is_said(
 ) -> None:
     code, answer = paused.ask("POST", method, {**more, path: wrong})
     assert code == 422
-    assert answer["problem"].endswith(": nothing on this computer can be called so")
+    assert answer["problem"].endswith(": nothing on this computer can have this name")
 
 
 def test_what_is_added_is_said_by_its_name(paused: Page) -> None:
@@ -215,4 +215,4 @@ def test_what_is_added_is_said_by_its_name(paused: Page) -> None:
     wanted = {"sensor": "polar_h10", "settings": settings, "participant": "P07"}
     code, answer = paused.ask("POST", "devices", wanted)
     assert code == 200
-    assert answer["sentence"] == "P07's Polar H10 is added: its card shows when it streams."
+    assert answer["sentence"] == "P07's Polar H10 was added: its card appears when it streams."

@@ -126,7 +126,7 @@ def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
     expect(row.locator("code", has_text="/p01/biosensors/empatica_e4/gsr")).to_be_visible()
     clock = page.get_by_label("Clock of the device")
     expect(clock).to_contain_text(re.compile(r"Drift\s*-?[\d.]+ ppm: it (loses|gains)"))
-    expect(page.get_by_role("heading", name="What the log says last")).to_be_visible()
+    expect(page.get_by_role("heading", name="Latest log entries")).to_be_visible()
 
     page.get_by_role("button", name="Pause").click()
     expect(page.get_by_text("paused: nothing is sent")).to_be_visible()
@@ -135,7 +135,7 @@ def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
 
     page.get_by_label("Label").fill("left")
     page.get_by_role("button", name="Save").click()
-    expect(page.get_by_text("is changed in the settings")).to_be_visible()
+    expect(page.get_by_text("was changed in the settings")).to_be_visible()
     expect(page.locator("code", has_text="empatica_e4__left").first).to_be_visible()
     page.once("dialog", lambda dialog: dialog.accept())
     page.get_by_role("button", name="Remove").click()
@@ -362,7 +362,7 @@ def test_the_page_alone_ends_and_the_agent_streams_on(server: Server, window: Op
     quit_button(page).click()
     dialog.get_by_role("button", name="Close only the page").click()
     expect(ended(page)).to_be_visible()
-    expect(page.get_by_text("The agent streams on")).to_be_visible()
+    expect(page.get_by_text("The agent continues to stream")).to_be_visible()
     assert server.process.wait(DEADLINE_S) == 0
     assert is_held(server.programs.folder)
 
@@ -380,10 +380,10 @@ def test_everything_ends_and_the_recording_is_closed_first(
     session.get_by_label("Participant").fill("p01")
     session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
     session.get_by_role("button", name="Record").click()
-    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+    expect(session.get_by_text("recording, all streams are growing")).to_be_visible()
     quit_button(page).click()
     dialog = page.get_by_role("dialog")
-    expect(dialog).to_contain_text("A recording goes on")
+    expect(dialog).to_contain_text("A recording is running")
     dialog.get_by_role("button", name="Close the recording and end everything").click()
     expect(ended(page)).to_be_visible()
     expect(page.get_by_text("The agent has ended.")).to_be_visible()

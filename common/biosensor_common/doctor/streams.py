@@ -338,8 +338,8 @@ def _hosts(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
                 f"{what}, which gives no time",
                 "Without its clock's offset its stamps cannot be aligned with others. A firewall "
                 "may let TCP through but not UDP.",
-                f"on {host}: biosensor-gateway doctor; its firewall must let in UDP and TCP from "
-                f"{LSL_BASE_PORT} on",
+                f"on {host}: biosensor-gateway doctor; its firewall must allow incoming UDP and "
+                f"TCP from {LSL_BASE_PORT} on",
             )
             continue
         what += (

@@ -224,7 +224,7 @@ class AgentSays(NamedTuple):
     away
         State of the stream's device while that does not send; else empty.
     refused
-        What is not passed on as it came, one sentence each.
+        Data not passed on unchanged, one sentence each.
     of_device
         The same of no single stream of its device, in the entry of one of its streams.
     """

@@ -231,7 +231,7 @@ class CaptureDesk:
             ``IN_USE`` if a capture is running.
         """
         if self._task is not None and not self._task.done():
-            message = "a device is being captured; wait for its end, or end it"
+            message = "a device is being captured; wait until that ends, or end it"
             raise ConfigError(ConfigReason.IN_USE, message)
         self.draft, self._recorder = None, Recorder()
         self._begun = Progress(Phase.CONNECTING, settings.sensor, seconds=seconds)

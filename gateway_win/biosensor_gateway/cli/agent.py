@@ -34,22 +34,22 @@ def run(
         bool | None,
         typer.Option(
             "--ask/--no-ask",
-            help="Ask first: stream, look for sensors, virtual ones. By itself it asks if the "
-            "settings name no sensor.",
+            help="Ask what to do first: stream, look for sensors, or use virtual ones. It asks "
+            "anyway if the settings name no sensor.",
         ),
     ] = None,
     page: Annotated[
-        bool, typer.Option("--page", help="Open the page, too; it needs no questions here.")
+        bool, typer.Option("--page", help="Also open the page; then nothing is asked here.")
     ] = False,
     features: Annotated[
         bool,
         typer.Option(
-            "--features", help="Send live features, too: heart rate, skin responses, breaths."
+            "--features", help="Also send live features: heart rate, skin responses, breaths."
         ),
     ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
     _keep_alive: Annotated[
-        bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
+        bool, typer.Option(KEEP_ALIVE, help="Restart the agent whenever it dies.")
     ] = False,
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
@@ -65,7 +65,7 @@ def run(
     if fault and not simulate:
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
     if ask and (simulate or not can_ask()):
-        raise typer.BadParameter("--ask needs a terminal, and does without --simulate")
+        raise typer.BadParameter("--ask needs a terminal, and cannot be combined with --simulate")
     if page and ask is None:
         ask = False
     if page and not restart_facts(os.environ):
@@ -99,7 +99,7 @@ def open_page_beside(settings: Path | None) -> None:
 
 def stop(
     timeout: Annotated[
-        float, typer.Option(min=1, help="How many seconds to wait until the agent has ended.")
+        float, typer.Option(min=1, help="How many seconds to wait for the agent to end.")
     ] = USUAL_LIMIT_S,
     while_recording: Annotated[
         bool,
@@ -140,10 +140,10 @@ def pause(device: DeviceArgument) -> None:
     name = answer["device"]
     before = "is" if answer["changed"] else "was already"
     typer.echo(
-        f"{name} {before} paused: nothing of it is sent until: "
-        f"biosensor-gateway resume {_quoted(name)}"
+        f"{name} {before} paused: nothing is sent from it until you run: biosensor-gateway "
+        f"resume {_quoted(name)}"
     )
-    _fail_if_not_stored(answer, "a new start of the agent would stream it again")
+    _fail_if_not_stored(answer, "restarting the agent would stream it again")
 
 
 def resume(device: DeviceArgument) -> None:
@@ -154,7 +154,7 @@ def resume(device: DeviceArgument) -> None:
     answer = _ask("resume", device)
     outcome = "is sent again" if answer["changed"] else "was not paused"
     typer.echo(f"{answer['device']} {outcome}")
-    _fail_if_not_stored(answer, "a new start of the agent would pause it again")
+    _fail_if_not_stored(answer, "restarting the agent would pause it again")
 
 
 def _ask(command: str, device: str) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def reload(
     while_recording: Annotated[
         bool,
         typer.Option(
-            "--while-recording", help="Change devices although a recording loses them by it."
+            "--while-recording", help="Change devices even if a recording then loses them."
         ),
     ] = False,
 ) -> None:
@@ -226,7 +226,8 @@ def _ask_first(file: Path, changes: dict[str, Any]) -> None:
     if not lost:
         return
     sentence = (
-        f"a recording goes on, to {file}, and from then on it may hold nothing of {listed(lost)}"
+        f"a recording is running, to {file}, and from then on it may hold nothing from "
+        f"{listed(lost)}"
     )
     _confirm(
         sentence, ["Leave it until the recording has ended", "Read the settings now all the same"]
@@ -243,13 +244,13 @@ def _confirm(sentence: str, choices: Sequence[str]) -> None:
 
 def _lines(answer: dict[str, Any]) -> list[str]:
     if answer["pending"]:
-        lines = ["the change has begun; a device takes long to end, see: biosensor-gateway status"]
+        lines = ["the change has started; one device is slow to end, see: biosensor-gateway status"]
     else:
         lines = [
             sentence.format(name) for key, sentence in _SENTENCES.items() for name in answer[key]
         ]
         lines = lines or ["nothing has changed for any device"]
-    for key, from_when in (("now", "now"), ("later", "from the next start of the agent on")):
+    for key, from_when in (("now", "now"), ("later", "from the next start of the agent")):
         if answer[key]:
             sections = ", ".join(f"[{name}]" for name in answer[key])
             lines.append(f"what was changed in {sections} holds {from_when}")

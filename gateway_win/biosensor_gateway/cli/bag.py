@@ -33,7 +33,7 @@ def import_recording(
         Path | None,
         typer.Option(
             metavar="FILE.xdf",
-            help="File to write, instead of NAME.xdf beside the bag.",
+            help="File to write, instead of NAME.xdf next to the bag.",
             show_default=False,
         ),
     ] = None,
@@ -41,7 +41,7 @@ def import_recording(
 ) -> None:
     """Write a bag as a recording (XDF); exit code 1 if some of it cannot be read.
 
-    A bag that was made of a recording becomes that recording again. In any
+    A bag that was made from a recording becomes that recording again. In any
     other bag, stamped topics of the node become its streams, and the numbers
     of all other messages become channels named after their fields. No file
     is overwritten.
@@ -77,4 +77,4 @@ def _say(*groups: list[str]) -> None:
         for sentence in sentences[:_MOST_SENTENCES]:
             say(printable(sentence))
         if (more := len(sentences) - _MOST_SENTENCES) > 0:
-            say(f"and {more} more of these")
+            say(f"and {more} more like these")

@@ -65,12 +65,12 @@ def capture_of(
 ) -> None:
     """Capture a device: `capture SENSOR` does the same. Nothing is sent.
 
-    What passes between its driver and the device is kept with the times of
-    arrival. Addresses, serial numbers and names are replaced. You see what the
-    file holds, and it is saved only if you agree.
+    All data between its driver and the device is kept with its times of arrival. Addresses,
+    serial numbers and names are replaced. You see what the file holds, and it is saved only if
+    you agree.
     """
     if not can_ask():
-        message = "a capture needs somebody's consent: run it in a terminal"
+        message = "a capture needs a person's consent: run it in a terminal"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     from biosensor_gateway.captures.draft import HOW_TO_SEND, Draft  # takes a second, needs liblsl
     from biosensor_gateway.captures.recorder import take
@@ -102,7 +102,7 @@ def replay(
         list[Path], typer.Argument(help="Captures, or folders of them.", show_default=False)
     ],
     live: Annotated[
-        bool, typer.Option("--live", help="As long as it took, as streams of LSL.")
+        bool, typer.Option("--live", help="At its original speed, as LSL streams.")
     ] = False,
     settings: SettingsOption = None,
     as_json: JsonOption = False,
@@ -178,7 +178,10 @@ def _print(path: Path, capture: Capture, report: Report) -> None:
         if any(each.ages_s for each in report.streams.values()):
             say("ms: from the stamp of a packet's last sample to its arrival.")
     if report.reanchors:
-        say(f"! the device's clock jumped {report.reanchors} times; its stamps are re-anchored")
+        say(
+            f"! the device's clock jumped {report.reanchors} times; its time stamps were "
+            "re-anchored"
+        )
     for sentence in (*report.sentences, *report.problems, *report.notes):
         say(f"! {sentence}")
     if not (report.sentences or report.problems or report.notes or report.reanchors):

@@ -160,7 +160,7 @@ def _checked_peers(peers: list[str] | None) -> list[str]:
     try:
         return list(LslSettings(known_peers=tuple(dict.fromkeys(peers or ()))).known_peers)
     except ValidationError:
-        raise typer.BadParameter("should be a host name or an IP address") from None
+        raise typer.BadParameter("must be a host name or an IP address") from None
 
 
 PeersOption = Annotated[
@@ -187,7 +187,7 @@ def write_lsl_file(
         Path | None, typer.Option(help="File to write instead of ~/lsl_api/lsl_api.cfg.")
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Change a file that exists; a copy of it is kept.")
+        bool, typer.Option("--force", help="Change an existing file; a copy of it is kept.")
     ] = False,
     settings: SettingsOption = None,
 ) -> None:
@@ -273,10 +273,10 @@ def _report(path: Path, file: LslFile, others: tuple[str, ...]) -> None:
     if others:
         ports = file.ports
         typer.echo(
-            f"The firewalls of this computer and of {', '.join(others)} must let in "
-            f"UDP {ports.discovery}, and UDP and TCP {ports.first} to {ports.last}."
+            f"The firewalls of this computer and of {', '.join(others)} must allow incoming UDP "
+            f"{ports.discovery}, and UDP and TCP {ports.first} to {ports.last}."
         )
-        typer.echo("The agents there must have the same LSL session.")
+        typer.echo("The agents there must use the same LSL session.")
     for warning in _warnings(path):
         typer.echo(f"warning: {warning}", err=True)
 
@@ -289,9 +289,9 @@ def _warnings(path: Path) -> list[str]:
         return [f"LSL does not look there; set the environment variable LSLAPICFG to {path}"]
     named = os.environ.get("LSLAPICFG")
     because = "because the environment variable LSLAPICFG names it"
-    where = "in programs that are started in its folder"
+    where = "in programs started in its folder"
     return [
-        f"{other} goes before it, {because if other == Path(named or '') else where}"
+        f"{other} takes precedence over it, {because if other == Path(named or '') else where}"
         for other in before
         if other.is_file()
     ]
@@ -322,7 +322,7 @@ def open_in_editor(path: Path) -> None:
     elif full_path("xdg-open"):
         _run(["xdg-open"], path)
     else:
-        message = f"no editor was found; set EDITOR to yours, or open {path} by hand"
+        message = f"no editor was found; set EDITOR to the one you use, or open {path} by hand"
         raise ConfigError(ConfigReason.NOT_FOUND, message)
 
 
@@ -351,7 +351,7 @@ def _run(command: Sequence[str], path: Path) -> None:
     name, *options = command or [""]
     program = name if "/" in name else full_path(name)
     if program is None:
-        raise _failed(name, path, "no folder of PATH has it")
+        raise _failed(name, path, "it is not in any folder of PATH")
     try:
         code = subprocess.run([program, *options, path], check=False).returncode
     except OSError as error:
@@ -384,7 +384,7 @@ def print_path() -> None:
 
 @app.command("init")
 def write_template(settings: SettingsOption = None) -> None:
-    """Write a settings file with every setting explained; never overwrites."""
+    """Write a settings file with every setting explained; never overwrite one."""
     path = settings or settings_path()
     settings_editor.write_template(path, settings_models())
     typer.echo(f"wrote {path}; add your devices there")
@@ -396,7 +396,7 @@ def edit(settings: SettingsOption = None) -> None:
     recorded = file_going_on(state_folder())
     if recorded is not None:
         warning = (
-            f"a recording goes on, to {recorded}: do not reload before it has ended, or it may "
+            f"a recording is running, to {recorded}: do not reload until it has ended, or it may "
             "lose the devices that you change"
         )
         typer.echo(f"! {warning}", err=True)
@@ -409,7 +409,7 @@ def edit(settings: SettingsOption = None) -> None:
 
 @app.command("check")
 def check(settings: SettingsOption = None) -> None:
-    """Check the settings file; exit code 2 and every problem with its line if it is wrong."""
+    """Check the settings file; show every problem with its line; exit code 2 if it is wrong."""
     path = settings or settings_path()
     loaded = settings_file.load_settings(path, settings_models())
     typer.echo(f"{path}: {len(loaded.devices)} devices, no problem found")

@@ -124,12 +124,12 @@ def _print_sections(sections: list[search.Section]) -> None:
 
 
 def _counted(count: int) -> str:
-    return "nothing that a driver knows" if not count else f"{count} found"
+    return "nothing that any driver knows" if not count else f"{count} found"
 
 
 SEARCH_S, TEST_S = 6.0, 5.0
 _SEARCH = "Look for sensors near this computer"
-_VIRTUAL = "Try it with virtual sensors; nothing is needed"
+_VIRTUAL = "Try it with virtual sensors; no hardware is needed"
 _END = "End"
 
 
@@ -200,8 +200,8 @@ def _virtual() -> str | None:
 
     names = one_of_each()
     typer.echo()
-    say("These virtual sensors send signals that are made up or were recorded:")
-    prompt = "Which? Numbers with blanks between, Enter for all:"
+    say("These virtual sensors send synthetic or recorded signals:")
+    prompt = "Which ones? Numbers separated by spaces, Enter for all:"
     chosen = several([sensor_title(name) for name in names], prompt, range(len(names)))
     return ",".join(names[index] for index in chosen)
 
@@ -213,7 +213,7 @@ def _set_up(path: Path) -> str | None:
         return None
     typer.echo()
     say("Found:")
-    prompt = "Which are yours? Numbers with blanks between, Enter to go back:"
+    prompt = "Which are yours? Numbers separated by spaces, Enter to go back:"
     chosen = several([_described(each) for each in found], prompt, ())
     if not chosen:
         return None
@@ -228,20 +228,20 @@ def _set_up(path: Path) -> str | None:
 def _found(configured: Sequence[DeviceSettings]) -> list[Found]:
     typer.echo()
     say(
-        f"Looking for sensors for {SEARCH_S:g} seconds: by Bluetooth, at serial ports, at "
+        f"Looking for sensors for {SEARCH_S:g} seconds: by Bluetooth, at serial ports, in "
         "vendors' programs. Put yours on, or switch them on ..."
     )
     sections = asyncio.run(search.scan(SEARCH_S, configured))
     problems = [f"{each.title}: {each.problem}" for each in sections if each.problem]
     if problems:
-        say("It was not possible to look here; if you have no such sensor, that does not matter:")
+        say("These places could not be searched; if you have no such sensor, that does not matter:")
     for problem in problems:
         say(f"  {problem}", hang=4)
     known = {(each.sensor, each.unit) for each in configured}
     every = [found for section in sections for found in section.found]
     new = [each for each in every if (each.sensor, each.settings.get("unit")) not in known]
     if not new:
-        besides = " but what the settings have already" if every else ""
+        besides = " except those already in the settings" if every else ""
         say(f"No sensor was found{besides}. Is it charged, switched on, near, and worn?")
     return new
 

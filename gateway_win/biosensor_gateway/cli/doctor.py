@@ -51,7 +51,7 @@ def doctor(
     answer: Annotated[
         bool,
         typer.Option(
-            "--answer", help="Answer once to another computer's --with that gives the right code."
+            "--answer", help="Answer another computer's --with once, if it gives the right code."
         ),
     ] = False,
     with_: Annotated[
@@ -94,11 +94,11 @@ def _network_check(
 ) -> NoReturn:
     """Run one side of the network check, and exit."""
     if only or (answering and host):
-        raise typer.BadParameter("--answer, --with and --only exclude one another")
+        raise typer.BadParameter("--answer, --with and --only exclude each other")
     context = read_context(settings or settings_path(), state_folder())
     if answering:
         raise typer.Exit(network_check.answer(context, AGENT, port, as_json=as_json_))
-    code = code or typer.prompt(f"The code that {host} shows", err=True)
+    code = code or typer.prompt(f"The code shown on {host}", err=True)
     raise typer.Exit(network_check.ask(context, AGENT, host, port, code, as_json=as_json_))
 
 

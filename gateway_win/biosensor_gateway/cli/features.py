@@ -44,7 +44,7 @@ def features(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="New .xdf or .csv, instead of NAME_features.xdf beside the recording.",
+            help="New .xdf or .csv, instead of NAME_features.xdf next to the recording.",
             show_default=False,
         ),
     ] = None,
@@ -137,7 +137,7 @@ def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> N
 
     target = output or file.with_name(f"{file.stem}_features.xdf")
     if target.suffix not in SUFFIXES:
-        message = f"{target} has no suffix that is written; give it {' or '.join(SUFFIXES)}"
+        message = f"{target} has no suffix that can be written; give it {' or '.join(SUFFIXES)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     # Headers are made by liblsl, which otherwise says where it has its settings from.
     configure_lsl(LslSettings().overrides)

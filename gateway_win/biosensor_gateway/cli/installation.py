@@ -173,16 +173,16 @@ def remove_from_path(folder: FolderArgument) -> None:
 
 @app.command("autostart")
 def autostart(
-    command: Annotated[str, typer.Argument(help="What is run; it may have %VARIABLES%.")],
-    on: Annotated[bool, typer.Option("--on/--off", help="Start it at logon, or do not.")] = True,
+    command: Annotated[str, typer.Argument(help="The command to run; it may contain %VARIABLES%.")],
+    on: Annotated[bool, typer.Option("--on/--off", help="Whether to start it at logon.")] = True,
 ) -> None:
-    """Choose whether the user of this session starts the program at logon."""
+    """Choose whether the program starts when the user of this session logs on."""
     _entries(lambda: windows_setup.choose(command, wanted=on))
 
 
 @app.command("autostart-state")
 def autostart_state() -> None:
-    """End with 0 if the user of this session starts the program at logon, else with 3."""
+    """End with 0 if the program starts when the user of this session logs on, else with 3."""
     if not windows_setup.is_chosen():
         raise typer.Exit(EXIT_NOT_CHOSEN)
 
@@ -218,5 +218,5 @@ def _entries(change: Callable[[], None]) -> None:
     try:
         change()
     except OSError as error:
-        message = f"what starts at logon cannot be changed: {error.strerror or error}"
+        message = f"the programs that start at logon cannot be changed: {error.strerror or error}"
         raise TransportError(TransportReason.DENIED, message) from error

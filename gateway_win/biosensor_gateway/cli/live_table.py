@@ -168,7 +168,7 @@ def _device(row: Row, columns: Mapping[int, int], width: int) -> Iterator[Line]:
     yield Line(_line(row.cells, columns), colour)
     shown = [each for each in (row.error, *row.refused[:_MOST_REFUSED]) if each]
     if (more := len(row.refused) - _MOST_REFUSED) > 0:
-        shown.append(f"and {more} more such sentences")
+        shown.append(f"and {more} more like these")
     for sentence in shown:
         lines = wrapped(f"  {sentence}", width, 2).splitlines()
         if len(lines) > _MOST_LINES_OF_ERROR:
@@ -217,8 +217,8 @@ def running_foot(running_s: int) -> Sequence[str]:
 
 LOOK_S = 0.25
 _LAST_LINES_S = 1.0
-_NO_DEVICE = "the agent runs, and no device is enabled in its settings"
-_END = "Press Ctrl-C to end the watch; the agent continues."
+_NO_DEVICE = "the agent is running, but no device is enabled in its settings"
+_END = "Press Ctrl-C to stop watching; the agent continues."
 
 
 class _View(Protocol):

@@ -34,9 +34,9 @@ def mark(
     text: Annotated[
         str, typer.Argument(metavar="TEXT", help="What happened; with --undo, the marker's id.")
     ] = "",
-    note: Annotated[bool, typer.Option("--note", help="Write TEXT down as a note.")] = False,
+    note: Annotated[bool, typer.Option("--note", help="Record TEXT as a note.")] = False,
     undo: Annotated[
-        bool, typer.Option("--undo", help="Undo a marker; without its id, the last one.")
+        bool, typer.Option("--undo", help="Undo a marker; without an id, the last one.")
     ] = False,
     listed: Annotated[
         bool, typer.Option("--list", help="Show the last markers, and the buttons.")
@@ -45,7 +45,7 @@ def mark(
         bool, typer.Option("--web", help="Show what a web experiment needs: address and token.")
     ] = False,
     new_token: Annotated[
-        bool, typer.Option("--new-token", help="With --web: make another token.")
+        bool, typer.Option("--new-token", help="With --web: make a new token.")
     ] = False,
     save: Annotated[
         Path | None,
@@ -59,9 +59,9 @@ def mark(
     if undo + listed + note + web > 1:
         raise typer.BadParameter("--note, --undo, --list and --web exclude each other")
     if (new_token or save) and not web:
-        raise typer.BadParameter("--new-token and --save go with --web")
+        raise typer.BadParameter("--new-token and --save need --web")
     if bool(text.strip()) == (listed or web) and not undo:
-        raise typer.BadParameter("--list and --web need no TEXT" if text else "there is no TEXT")
+        raise typer.BadParameter("--list and --web need no TEXT" if text else "TEXT is missing")
     if web:
         if save is not None:
             _save_web(save)
@@ -98,7 +98,7 @@ def _print_list(answer: Mapping[str, Any]) -> None:
     from pylsl import local_clock  # as above
 
     width, now = columns(sys.stdout), local_clock()
-    rows = [_row(each, now) for each in answer["markers"]] or [("", "nothing is marked yet")]
+    rows = [_row(each, now) for each in answer["markers"]] or [("", "there are no markers yet")]
     rows += _buttons(answer["buttons"])
     for lead, said in rows:
         typer.echo(wrapped(f"{lead}{said}", width, hang=len(lead)))
@@ -153,7 +153,7 @@ def _save_web(folder: Path) -> None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
                 if target.exists() and target.read_bytes() != source.read_bytes():
-                    message = f"{target} exists and is not overwritten; move it away first"
+                    message = f"{target} exists and is not overwritten; move it first"
                     raise ConfigError(ConfigReason.EXISTS, message)
                 shutil.copyfile(source, target)
             except OSError as error:
@@ -170,7 +170,7 @@ def _web_rows(web: WebMarkerSettings, token: str) -> Iterator[tuple[str, str]]:
     if not web.origins:
         yield (
             "origins",
-            f"none, so nothing listens; in the settings, write under [markers.web]: {_EXAMPLE}",
+            f"none, so nothing listens; write in the settings, under [markers.web]: {_EXAMPLE}",
         )
         return
     port = "" if web.port == USUAL_PORT else f"&port={web.port}"

@@ -22,14 +22,14 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 SimulateOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Use these virtual devices instead (comma-separated, or all); with @P01, worn by P01."
+        help="Use these virtual devices instead (comma-separated, or all); with @P01: worn by P01."
     ),
 ]
 FaultOption = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
-        help="Give the virtual devices a fault: [SENSOR:]KIND[:VALUE]@START, as in drop:5s@10s "
+        help="Give the virtual devices a fault: [SENSOR:]KIND[:VALUE]@START, such as drop:5s@10s "
         "(repeatable).",
     ),
 ]
@@ -42,19 +42,19 @@ StreamsOption = Annotated[
     typer.Option(
         "--streams",
         metavar="PATTERN",
-        help="Only streams of this name or source_id; * and ? stand for others (repeatable).",
+        help="Only streams of this name or source_id; * and ? are wildcards (repeatable).",
     ),
 ]
 ParticipantOption = Annotated[str, typer.Option(help="Only this person's streams.")]
 WithoutOption = Annotated[
-    str, typer.Option("--without", metavar="PERSON", help="All streams but those of this person.")
+    str, typer.Option("--without", metavar="PERSON", help="All streams except this person's.")
 ]
 FromOption = Annotated[
     str,
     typer.Option(
         "--from",
         metavar="TIME",
-        help="Since the start, such as 90.5 or 1:30.5, or a date and time.",
+        help="Time since the start, such as 90.5 or 1:30.5, or a date and time.",
     ),
 ]
 UntilOption = Annotated[str, typer.Option("--until", metavar="TIME", help="Likewise.")]

@@ -48,14 +48,16 @@ EndAfterOption = Annotated[
 ]
 ShareOption = Annotated[
     bool,
-    typer.Option("--share", help="Other computers may look on, over TLS; they change nothing."),
+    typer.Option(
+        "--share", help="Other computers can view it over TLS; they cannot change anything."
+    ),
 ]
 LslOption = Annotated[
     bool,
     typer.Option(
         "--lsl",
-        help="Show the LSL streams that arrive at this computer, ours and other programs', "
-        "without an agent: for the robot's computer.",
+        help="Show the LSL streams that reach this computer, ours and other programs', without an "
+        "agent: for the robot's computer.",
     ),
 ]
 
@@ -72,7 +74,7 @@ def page(
     end_after: EndAfterOption = math.inf,
     share: ShareOption = False,
     share_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="TCP port for them; 0 for any that is free.")
+        int, typer.Option(min=0, max=65535, help="TCP port for them; 0 for any free port.")
     ] = SHARE_PORT,
     lsl: LslOption = False,
     end: Annotated[
@@ -87,7 +89,7 @@ def page(
     folder = state_folder()
     if end:
         if not ask_to_end(folder):
-            raise TransportError(TransportReason.ABSENT, "the page does not run")
+            raise TransportError(TransportReason.ABSENT, "the page is not running")
         typer.echo("the page has ended")
         return
     path = (settings or settings_path()).absolute()
@@ -96,11 +98,9 @@ def page(
         is_open = browser and open_page(way, in_window=window)
         if window and not is_open:
             # The windowed program has no console on which the address could be read.
-            message = (
-                "no browser could be opened; install Edge or Chrome, or choose a usual browser"
-            )
+            message = "no browser could be opened; install Edge or Chrome, or set a default browser"
             raise TransportError(TransportReason.ABSENT, message)
-        where = "is open in the browser" if is_open else f"opens once at: {way.address}"
+        where = "is open in the browser" if is_open else f"can be opened once, at: {way.address}"
         typer.echo(f"The page {where}")
 
     if lsl:
@@ -129,13 +129,13 @@ def _shown_by_another(
         return False
     if Path(running[SETTINGS]) != settings:
         message = (
-            f"the page runs already, with the settings file {running[SETTINGS]}; end it first: "
-            "biosensor-gateway page --end"
+            f"the page is already running, with the settings file {running[SETTINGS]}; end it "
+            "first: biosensor-gateway page --end"
         )
         raise TransportError(TransportReason.BUSY, message)
     if wants_share and not running[IS_SHARED]:
         message = (
-            "the page runs already, and no other computer can look on; end it first: "
+            "the page is already running, and other computers cannot view it; end it first: "
             "biosensor-gateway page --end"
         )
         raise TransportError(TransportReason.BUSY, message)
@@ -155,10 +155,10 @@ def _serve(
     def ready(way: WayIn) -> None:
         show(way)
         if server.share is not None:
-            typer.echo("Other computers look on, and change nothing, at:")
+            typer.echo("Other computers can view it, without changing anything, at:")
             for each in server.share.addresses:
                 typer.echo(f"  {each}")
-            typer.echo("Their browser asks about the certificate, whose SHA-256 begins with")
+            typer.echo("Their browser asks about the certificate, whose SHA-256 starts with")
             typer.echo(f"  {server.share.fingerprint[:47]}")
         typer.echo("Press Ctrl-C to end the page; the agent continues.")
 

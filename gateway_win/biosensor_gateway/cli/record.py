@@ -54,8 +54,8 @@ def start_text(started: Started) -> str:
     if started.by is By.GATEWAY:
         return (
             f"recording to {started.file}: {len(started.streams)} streams are open after "
-            f"{started.took_s:.1f} s; look at it with: record status --watch, end it with: "
-            "record stop"
+            f"{started.took_s:.1f} s; watch it with: record status --watch, end it with: record "
+            "stop"
         )
     streams = f"{len(started.streams)} streams seen from here"
     if not started.verified:
@@ -76,14 +76,14 @@ def stop_text(stopped: Stopped) -> str:
     )
     verdict = stopped.verdict
     if verdict is None:
-        return f"{closed}; look closer with: biosensor-gateway xdf check {stopped.file}"
+        return f"{closed}; check it with: biosensor-gateway xdf check {stopped.file}"
     findings = [_finding(each) for each in verdict.findings if each.level is not Level.NOTE]
     return "\n".join([closed, *findings, f"{verdict.colour}: {verdict.sentence}"])
 
 
 def local_text(status: Status) -> str:
     """Return the status of a recording that this computer makes without LabRecorder."""
-    state = "recording to" if status.recording else "not recording any more to"
+    state = "recording to" if status.recording else "no longer recording to"
     return progress_text(f"{state} {status.file}", status.sight, status.problems)
 
 
@@ -96,15 +96,15 @@ def window_text(where: str, status: Status) -> str:
 def _window_recording(known: Status) -> str:
     if known.file is None:
         return (
-            "whether it records is not known: it cannot be asked, and no file is known here "
-            "(name it with --file)"
+            "it is not known whether it is recording: it cannot be asked, and no file is known "
+            "here (name it with --file)"
         )
     if known.is_closed:
         return f"not recording to {known.file}: it is closed, {known.streams} streams"
     if known.recording:
-        return f"recording to {known.file}: it grows, {known.streams} streams so far"
-    size = f"{known.bytes} bytes, not closed" if known.bytes else "empty or not there"
-    return f"{known.file} does not grow ({size}): most likely it is not being recorded"
+        return f"recording to {known.file}: it is growing, {known.streams} streams so far"
+    size = f"{known.bytes} bytes, not closed" if known.bytes else "empty or missing"
+    return f"{known.file} is not growing ({size}): most likely it is not being recorded"
 
 
 def progress_text(head: str, progress: Progress | None, problems: Sequence[Finding]) -> str:
@@ -246,7 +246,7 @@ PortOption = Annotated[
 ]
 FileOption = Annotated[
     Path | None,
-    typer.Option(help="The recording; without it the one that was started from here."),
+    typer.Option(help="The recording; if left out, the one that was started from here."),
 ]
 
 
@@ -257,8 +257,8 @@ NewFileOption = Annotated[
 FolderOption = Annotated[
     Path | None,
     typer.Option(
-        help="Record below this folder; it is watched to see the file grow. Without it and "
-        "without a window, the page's folder is used: 'Biosensor recordings' in your documents."
+        help="Record in this folder; it is watched to see the file grow. Without it and without a "
+        "window, the page's folder is used: 'Biosensor recordings' in your documents."
     ),
 ]
 RecorderFolderOption = Annotated[
@@ -267,15 +267,15 @@ RecorderFolderOption = Annotated[
 ParticipantOption = Annotated[
     str | None, typer.Option(help="Give the file a BIDS name: the participant's pseudonym.")
 ]
-SessionOption = Annotated[str | None, typer.Option(help="BIDS session, else S001.")]
-TaskOption = Annotated[str | None, typer.Option(help="BIDS task, else Default.")]
+SessionOption = Annotated[str | None, typer.Option(help="BIDS session; S001 if left out.")]
+TaskOption = Annotated[str | None, typer.Option(help="BIDS task; Default if left out.")]
 RunOption = Annotated[
-    int | None, typer.Option(min=1, max=MAX_RUN, help="BIDS run, else the first.")
+    int | None, typer.Option(min=1, max=MAX_RUN, help="BIDS run; the first if left out.")
 ]
-AcquisitionOption = Annotated[str | None, typer.Option(help="BIDS acquisition, else none.")]
-ModalityOption = Annotated[str | None, typer.Option(help="BIDS modality, else beh.")]
+AcquisitionOption = Annotated[str | None, typer.Option(help="BIDS acquisition; none if left out.")]
+ModalityOption = Annotated[str | None, typer.Option(help="BIDS modality; beh if left out.")]
 AllStreamsOption = Annotated[
-    bool, typer.Option("--all", help="Do not warn of other programs' streams.")
+    bool, typer.Option("--all", help="Do not warn about other programs' streams.")
 ]
 OnlyOursOption = Annotated[
     bool,
@@ -286,13 +286,14 @@ OnlyOursOption = Annotated[
 AllowMissingOption = Annotated[
     bool,
     typer.Option(
-        "--allow-missing", help="Start although streams are missing, or sensors do not stream."
+        "--allow-missing", help="Start even if streams are missing or sensors do not stream."
     ),
 ]
 OtherParticipantsOption = Annotated[
     bool,
     typer.Option(
-        "--other-participants", help="Start although others than PARTICIPANT wear the sensors."
+        "--other-participants",
+        help="Start even if someone other than PARTICIPANT wears the sensors.",
     ),
 ]
 TimeoutOption = Annotated[
@@ -302,15 +303,14 @@ FailOnRedOption = Annotated[
     bool,
     typer.Option(
         "--fail-on-red",
-        help="Exit code 1 also if the verdict is red or unknown; the recording is ended all the "
-        "same.",
+        help="Exit code 1 also if the verdict is red or unknown; the recording is ended anyway.",
     ),
 ]
 HereOption = Annotated[
-    bool, typer.Option("--here", help="Record without LabRecorder's window in any case.")
+    bool, typer.Option("--here", help="Always record without LabRecorder's window.")
 ]
 WindowOption = Annotated[
-    bool, typer.Option("--window", help="Record with LabRecorder's window in any case.")
+    bool, typer.Option("--window", help="Always record with LabRecorder's window.")
 ]
 
 
@@ -349,7 +349,7 @@ def start(
     recording is refused.
 
     LabRecorder's window records if it is open here or --host names its computer. Otherwise this
-    computer records by itself, and goes on when this terminal is closed. Every stream is
+    computer records without it, and goes on when this terminal is closed. Every stream is
     recorded; those of other programs are named in a warning. A window cannot be asked, so only
     the file shows that it records: if it is on another computer, give a folder that both can
     reach.
@@ -448,7 +448,7 @@ def status(
 ) -> None:
     """Show the state of the recording; exit code 1 if something is wrong with it, or there is none.
 
-    For LabRecorder's window, shows what can be known from outside; exit code 1 if it does not
+    For LabRecorder's window, show what can be known from outside; exit code 1 if it does not
     answer.
     """
     if not (host or port) and is_local(file):

@@ -44,7 +44,7 @@ def replay(
     file: RecordingArgument,
     speed: Annotated[
         float,
-        typer.Option(min=SLOWEST, max=FASTEST, help="Seconds of the recording in one second."),
+        typer.Option(min=SLOWEST, max=FASTEST, help="Speed: seconds of the recording per second."),
     ] = 1.0,
     begin: FromOption = "",
     end: UntilOption = "",
@@ -52,11 +52,11 @@ def replay(
     participant: ParticipantOption = "",
     without: WithoutOption = "",
     loop: Annotated[
-        bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")
+        bool, typer.Option("--loop", help="Start again at the end, until Ctrl-C.")
     ] = False,
     waits: Annotated[
         bool,
-        typer.Option("--wait-for-consumers", help="Begin when every stream has a receiver."),
+        typer.Option("--wait-for-consumers", help="Start when every stream has a receiver."),
     ] = False,
     as_original: Annotated[
         bool,

@@ -22,7 +22,7 @@ def _group() -> None:
 _WHOSE = "Whose secrets: a sensor, or its vendor."
 SensorArgument = Annotated[str, typer.Argument(help=_WHOSE)]
 OptionalSensor = Annotated[str | None, typer.Argument(help=_WHOSE)]
-EveryOption = Annotated[bool, typer.Option("--all", help="Those of all sensors.")]
+EveryOption = Annotated[bool, typer.Option("--all", help="The secrets of all sensors.")]
 
 
 @app.command("set")
@@ -39,7 +39,7 @@ def set_secrets(sensor: SensorArgument) -> None:
 def forget_secrets(sensor: OptionalSensor = None, *, every: EveryOption = False) -> None:
     """Remove the secrets of a sensor's service, or all secrets, from the keyring."""
     if (sensor is not None) == every:
-        raise typer.BadParameter("name a sensor, or say --all")
+        raise typer.BadParameter("name a sensor, or use --all")
     for secret in _all_secrets() if sensor is None else _secrets_of(sensor):
         was_there = secret_store.forget_secret(secret)
         outcome = "removed from the keyring" if was_there else "was not in the keyring"
@@ -80,7 +80,7 @@ def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
     except SpecError as error:
         # An unknown sensor is a wrong argument, which ends with exit code 2.
         raise ConfigError(ConfigReason.WRONG_VALUE, str(error)) from error
-    message = f"{sensor} needs no secrets; what does: {', '.join(known)}"
+    message = f"{sensor} needs no secrets; these do: {', '.join(known)}"
     raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 

@@ -96,7 +96,7 @@ def remove() -> bool:
         path.unlink()
     if problem is not None:
         message = (
-            f"{path} is removed, but systemd may still run what it started ({problem}); end it "
+            f"{path} is removed, but systemd may still be running the agent ({problem}); end it "
             "with: biosensor-gateway stop"
         )
         raise TransportError(TransportReason.UNAVAILABLE, message)
@@ -107,7 +107,7 @@ def _systemctl() -> str:
     path = full_path("systemctl")
     if path is None:
         message = (
-            "there is no systemd here, which runs services on Linux; on Windows choose "
+            "there is no systemd here, which is needed for services on Linux; on Windows choose "
             "'start with Windows' in the installer"
         )
         raise TransportError(TransportReason.ABSENT, message)
@@ -153,7 +153,7 @@ def _group() -> None:
 
 @app.command("install")
 def install_service(settings: SettingsOption = None) -> None:
-    """Run the agent now, whenever you are logged in, and again whenever it dies."""
+    """Run the agent now and whenever you are logged in, and restart it whenever it dies."""
     chosen = () if settings is None else ("--settings", str(settings.resolve()))
     path = install(("run", KEEP_ALIVE, *chosen))
     typer.echo(

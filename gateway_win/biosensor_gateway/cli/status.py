@@ -36,7 +36,7 @@ COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "w
 
 
 def status(
-    watch: Annotated[bool, typer.Option("--watch", help="Go on showing it, until Ctrl-C.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Keep showing it, until Ctrl-C.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the running agent does; exit code 1 if none runs.
@@ -61,7 +61,7 @@ def _print_status(current: dict[str, Any]) -> None:
         say(sentence)
     if not current["devices"]:
         say(
-            "the agent runs, and no device is enabled in its settings; add one with: "
+            "the agent is running, but no device is enabled in its settings; add one with: "
             "biosensor-gateway config edit"
         )
     for device in current["devices"]:

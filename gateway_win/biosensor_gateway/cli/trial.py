@@ -131,14 +131,14 @@ class Trial:
                 with requests_interrupt():
                     code = self._show(devices, stack)
             except KeyboardInterrupt:
-                say("Ended before all of it was shown.")
+                say("Ended before everything was shown.")
                 code = 1
             finally:
                 # Another Ctrl-C must not keep the programs from being ended.
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
                 self._end_recording()
         if self._output_folder.is_dir():
-            say(f"Ended. What was recorded stays in {self._output_folder}")
+            say(f"Ended. The recordings stay in {self._output_folder}")
         if left_out:
             say(left_out)
         return code or (1 if left_out else 0)
@@ -174,7 +174,7 @@ class Trial:
         if self._opens and open_page(way, in_window=False):
             say("The page is open in your browser.")
         else:
-            say("Open the page in a browser on this computer; the address is good once:")
+            say("Open the page in a browser on this computer; the address works once:")
             say(f"  {way.address}")
 
     def _ask_for_page(self) -> Mapping[str, Any] | None:
@@ -212,7 +212,7 @@ class Trial:
         started = self._recording.start(request, self._look, self._settings.lsl.overrides)
         for warning in started.warnings:
             say(f"! {warning}")
-        say(f"Recording for {self._recorded_s:g} s, as by the page's button ...")
+        say(f"Recording for {self._recorded_s:g} s, as the page's button does ...")
         self._wait(time.monotonic() + self._recorded_s)
         file = self._recording.stop().file
         verdict = check(file, expected)
@@ -262,7 +262,7 @@ class Trial:
             except GatewayError as error:
                 say(f"! {error}")
             else:
-                say(f"What was being recorded is in {file}")
+                say(f"The data recorded so far is in {file}")
 
 
 def expected_streams(
@@ -313,7 +313,10 @@ def print_verdict(verdict: Verdict) -> None:
             say(f"{each.level}: {each.stream}: {each.text}" if each.stream else each.text)
     say(f"{verdict.colour}: {verdict.sentence}")
     if verdict.colour is not Colour.RED and not all(each.samples for each in named):
-        say("Streams without samples tell what seldom happens, such as a battery's charge.")
+        say(
+            "Streams without samples report things that seldom happen, such as a change of the "
+            "battery's charge."
+        )
 
 
 def _unwatched(_format: str, _seconds: float) -> Callable[[float], None]:

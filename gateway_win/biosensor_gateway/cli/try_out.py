@@ -27,11 +27,13 @@ def try_out(
     ] = True,
     folder: Annotated[
         Path,
-        typer.Option(help="Folder for recording and tables; all else is removed at the end."),
+        typer.Option(
+            help="Folder for recording and tables; everything else is removed at the end."
+        ),
     ] = _FOLDER,
     every: Annotated[
         bool,
-        typer.Option("--all", help="With a virtual device of each kind; keeps two cores busy."),
+        typer.Option("--all", help="Use a virtual device of each kind; keeps two cores busy."),
     ] = False,
 ) -> None:
     """Try it without hardware: a page with virtual sensors, a recording, and its tables.

@@ -35,7 +35,9 @@ def withdraw(
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the report there, as JSON.", show_default=False),
+        typer.Option(
+            metavar="FILE", help="Write the report to this file, as JSON.", show_default=False
+        ),
     ] = None,
     print_json: JsonOption = False,
 ) -> None:
@@ -64,7 +66,7 @@ def withdraw(
         if print_json:
             typer.echo(json.dumps({"plan": _as_json(found)}, indent=2))
             raise typer.Exit(1)
-        typer.confirm("Do it? What is deleted is gone", abort=True)
+        typer.confirm("Do it? Deleted data cannot be restored", abort=True)
     if report is not None:
         _require_place(report)
     with requests_interrupt():
@@ -110,7 +112,7 @@ def _as_json(found: Plan) -> list[dict[str, str]]:
 
 def _say_plan(found: Plan) -> None:
     if not found.steps:
-        say(f"nothing of {found.person} is in {found.files} files")
+        say(f"nothing from {found.person} is in {found.files} files")
     for each in found.steps:
         say(f"{each.action}: {printable(str(each.path))}: {printable(each.why)}", hang=4)
 
@@ -125,7 +127,7 @@ def _say_report(result: Report) -> None:
     for each in result.left:
         say(f"still there: {printable(str(each.path))}: {each.what}", hang=4)
     for each in result.looked_at:
-        say(f"look at it: {printable(str(each.path))}: {printable(each.why)}", hang=4)
+        say(f"check it yourself: {printable(str(each.path))}: {printable(each.why)}", hang=4)
     if result.is_clean:
         say(
             f"searched {result.searched} files for the name and for {result.pieces} pieces of the "

@@ -78,32 +78,36 @@ ClockOption = Annotated[
 TimesOption = Annotated[
     exporter.Times,
     typer.Option(
-        help="Of streams with a rate: as recorded, or on a straight line between two gaps, "
-        "where a gap is an event and ends no file."
+        help="Times of streams with a rate: as recorded, or on a straight line between two gaps; "
+        "a gap is then an event and does not end a file."
     ),
 ]
 WideOption = Annotated[
     bool,
-    typer.Option("--wide", help="For csv; also one table for each rate, streams side by side."),
+    typer.Option(
+        "--wide", help="For csv: also write one table per rate, with the streams side by side."
+    ),
 ]
 RatesOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="HZ",
-        help="For edf, kubios and bids: the rate of streams whose headers name none, if you "
-        "know it; also NAME=HZ, of one of them (repeatable).",
+        help="For edf, kubios and bids: the rate of streams whose headers name none, if you know "
+        "it; also NAME=HZ, for one of them (repeatable).",
         show_default=False,
     ),
 ]
 TaskOption = Annotated[
-    str, typer.Option(help="For bids; else from the recording's name, or study.")
+    str, typer.Option(help="For bids; if left out, from the recording's name, or study.")
 ]
-SessionOption = Annotated[str, typer.Option(help="For bids; else from the recording's name.")]
+SessionOption = Annotated[
+    str, typer.Option(help="For bids; if left out, from the recording's name.")
+]
 WhoseOption = Annotated[
     Whose | None,
     typer.Option(
-        help="Which one is right if the recording's name says another participant than its "
-        "sensors.",
+        help="Which participant is right if the recording's name and its sensors name different "
+        "ones.",
         show_default=False,
     ),
 ]
@@ -111,8 +115,8 @@ OutputOption = Annotated[
     Path | None,
     typer.Option(
         metavar="PLACE",
-        help="Folder or new file to write, instead of beside the recording; with --to bids, "
-        "also an existing data set, to which recordings are added.",
+        help="Folder or new file to write, instead of next to the recording; with --to bids, also "
+        "an existing data set, to which recordings are added.",
         show_default=False,
     ),
 ]
@@ -168,7 +172,7 @@ def export_recording(
     else:
         recordings, left_out = recordings_in(files)
         for each in left_out:
-            typer.echo(f"{each} is left out, for it was salvaged beside it", err=True)
+            typer.echo(f"{each} is left out, because it was salvaged next to it", err=True)
         is_certain = _export_all(recordings, wanted, print_json=print_json)
     if not is_certain:
         raise typer.Exit(1)
@@ -181,7 +185,7 @@ def _refuse_wrong_formats(names: Sequence[str], *, wide: bool) -> None:
             message = f"there is no format {name!r}{hint}; there is {', '.join(FORMATS)}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     if wide and not {"csv", "csv.gz"} & {*names}:
-        message = "--wide is of --to csv and --to csv.gz; other formats have no such tables"
+        message = "--wide needs --to csv or --to csv.gz; other formats have no such tables"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
@@ -222,7 +226,7 @@ def _export_all(recordings: Sequence[Path], task: Task, *, print_json: bool) -> 
         if each.error:
             typer.echo(wrapped(each.error, columns(sys.stderr), 2), err=True)
         elif each.outcome is None:
-            say(f"{each.recording} was added before")
+            say(f"{each.recording} was already added")
         else:
             say(f"{each.recording}:")
             _say_outcome(each.outcome)
@@ -280,8 +284,9 @@ def check(
     """Check whether a recording can be trusted; exit code 1 if something is wrong with it.
 
     The recording must have the devices that its agent's events name. Without such events, or with
-    --settings, it must have every stream of every enabled device of the settings. Errors are what
-    is wrong or missing in the file; warnings and notes do not change the exit code.
+    --settings, it must have every stream of every enabled device of the settings. Errors mean
+    that something in the file is wrong or missing; warnings and notes do not change the exit
+    code.
     """
     with wrong_recording():
         recording = read_recording(file)
@@ -301,7 +306,7 @@ def salvage_recording(
         Path | None,
         typer.Option(
             metavar="OTHER",
-            help="File to write, instead of NAME_salvaged.xdf beside the recording.",
+            help="File to write, instead of NAME_salvaged.xdf next to the recording.",
             show_default=False,
         ),
     ] = None,
@@ -309,7 +314,7 @@ def salvage_recording(
         Path | None,
         typer.Option(
             metavar="RECORDING",
-            help="Another recording of the same streams, for headers that are lost.",
+            help="Another recording of the same streams, to replace lost headers.",
             show_default=False,
         ),
     ] = None,

@@ -154,12 +154,16 @@ class BrowserRules:
         """Refuse a request that another web page has sent."""
         origin = headers.get("origin")
         if origin not in self._origins and (needs_origin or origin is not None):
-            return Refusal(403, "Another web page has sent this; only the program's own may.")
+            return Refusal(
+                403, "Another web page sent this request; only the program's own page may send it."
+            )
         # The file by which `system.browser` opens the door counts as another page.
         may_link = self._keys.same_site == "lax" or path == DOOR
         is_link = may_link and headers.get("sec-fetch-mode") == "navigate"
         if not is_link and _is_of_another_page(headers):
-            return Refusal(403, "Another web page has sent this; only the program's own may.")
+            return Refusal(
+                403, "Another web page sent this request; only the program's own page may send it."
+            )
         return None
 
     def stranger(self, headers: Headers, *, is_socket: bool) -> Refusal | None:
@@ -232,9 +236,11 @@ class ExperimentRules:
         if origin in self._origins:
             return None
         if origin is None:
-            return Refusal(403, "Markers come from web pages here, whose browser names an Origin.")
+            return Refusal(
+                403, "Only web pages can send markers here: their browser names an Origin."
+            )
         self._on_foreign(origin)
-        return Refusal(403, "This origin is not among the origins under [markers.web].")
+        return Refusal(403, "This origin is not listed in origins under [markers.web].")
 
     def stranger(self, headers: Headers, *, is_socket: bool) -> Refusal | None:
         """Refuse a request without the token, or with a wrong one."""
@@ -320,7 +326,7 @@ class Guard:
 
     def _foreign(self, path: str, headers: Headers, *, needs_origin: bool) -> Refusal | None:
         if headers.get("host", "") not in self._rules.hosts:
-            return Refusal(421, "This server is asked by a name that is not its own.")
+            return Refusal(421, "This server was addressed by a name that is not its own.")
         return self._rules.foreign(path, headers, needs_origin=needs_origin)
 
 
@@ -337,13 +343,13 @@ def _body_refusal(headers: Headers, most: int) -> Refusal | None:
     """Return why the body of a request is refused; None if it is accepted."""
     kind = headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
-        return Refusal(415, "What is sent here is JSON: Content-Type: application/json.")
+        return Refusal(415, "Send JSON here: Content-Type: application/json.")
     length = headers.get("content-length", "")
     # The server enforces this length.
     if not length.isdecimal():
         return Refusal(411, "The length of the request is missing: Content-Length.")
     if int(length) > most:
-        return Refusal(413, f"What is sent here has at most {most} bytes.")
+        return Refusal(413, f"A request here has at most {most} bytes.")
     return None
 
 

@@ -106,7 +106,9 @@ def _ask(folder: Path, command: str) -> dict[str, Any] | None:
                 return None
             # A page that is starting holds its lock, but does not listen yet: ask again.
             if time.monotonic() >= deadline:
-                message = "the page runs already and does not answer; end its process, or wait"
+                message = (
+                    "the page is already running and does not answer; end its process, or wait"
+                )
                 raise TransportError(TransportReason.SILENT, message) from error
         time.sleep(_ASK_AGAIN_S)
 

@@ -133,8 +133,8 @@ class Features:
         elif agent:
             untold[_OF_ALL] = (
                 f"they are not shown: the agent now sends in the LSL session {agent}, and this "
-                f"page looks in {own}, where equal names are other people's; end the page and "
-                "open it again"
+                f"page looks in {own}, where streams of the same name belong to other people; "
+                "end the page and open it again"
             )
         self._tell(untold)
         self._session.features = features
@@ -157,7 +157,7 @@ class Features:
                 why = (
                     f"they are not shown, because they may be another person's: {len(senders)} "
                     f"agents, on {' and '.join(hosts)}, send this stream under one source_id; "
-                    "give the sensors of each another participant, or end one"
+                    "give each agent's sensors a different participant, or end one agent"
                 )
                 found[source] = senders[0].name(), why
         return found

@@ -278,7 +278,7 @@ def _can_be_path(text: str) -> str:
         # The path has the home folder of an unknown user.
         is_usable = False
     if not is_usable:
-        raise ValueError("nothing on this computer can be called so")
+        raise ValueError("nothing on this computer can have this name")
     return text
 
 

@@ -31,8 +31,8 @@ from biosensor_gateway.system import state_file
 
 EVERYWHERE = "0.0.0.0"  # noqa: S104 - asked for, and nothing can be changed there
 _REFUSED = (
-    "The address to look on here is shown on the page of the computer that the sensors are "
-    "connected to. It is another one each time the page is started there."
+    "The address for viewing is shown on the page of the computer that the sensors are connected "
+    "to. It changes each time the page is started there."
 )
 CERTIFICATE_FILE = "page-certificate.pem"
 _CERTIFICATE_HOLDS = datetime.timedelta(days=365)
@@ -65,7 +65,7 @@ async def shared(session: Session, pages: Path, port: int) -> AsyncGenerator[Sha
             certificate = own_certificate(session.folder, names)
         except OSError as error:
             message = (
-                f"other computers cannot look on: the certificate cannot be kept in "
+                "other computers cannot view the page: the certificate cannot be stored in "
                 f"{session.folder} ({error.strerror or error})"
             )
             raise TransportError(TransportReason.ABSENT, message) from error
@@ -120,7 +120,7 @@ def _listening(port: int) -> socket.socket:
         return listening_at(EVERYWHERE, port)
     except OSError as error:
         message = (
-            f"other computers cannot look on: TCP {port} cannot be opened "
+            f"other computers cannot view the page: TCP {port} cannot be opened "
             f"({error.strerror or error}); choose another with --share-port"
         )
         raise TransportError(TransportReason.BUSY, message) from error
@@ -131,7 +131,9 @@ def _addresses() -> Sequence[str]:
     found = [each for each in adapters() if not each.is_loopback]
     addresses = [address for each in found for address in each.addresses]
     if not addresses:
-        message = "other computers cannot look on: this computer is in no network"
+        message = (
+            "other computers cannot view the page: this computer is not connected to a network"
+        )
         raise TransportError(TransportReason.ABSENT, message)
     return addresses
 

@@ -90,7 +90,7 @@ def _session(value: str) -> str:
 
 def _host(value: str) -> str:
     if not _HOST.fullmatch(value):
-        raise ValueError("should be a host name or an IP address")
+        raise ValueError("must be a host name or an IP address")
     return value
 
 

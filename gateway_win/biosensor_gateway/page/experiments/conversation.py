@@ -88,7 +88,7 @@ class Conversation:
             async with asyncio.timeout(HELLO_WITHIN_S):
                 hello = Hello.model_validate_json(await self._socket.receive_text())
         except (ValidationError, KeyError, TimeoutError):
-            return "the first message is hello, with the token"
+            return "the first message must be hello, with the token"
         except WebSocketDisconnect:
             return "gone"
         if not is_same(hello.token, self._token):
@@ -125,7 +125,7 @@ class Conversation:
         try:
             self._marks.put_nowait((mark, arrival))
         except asyncio.QueueFull:
-            await self._refuse(mark, "too many markers wait already", again=True)
+            await self._refuse(mark, "too many markers are already waiting", again=True)
 
     async def _measure(self) -> None:
         """Ask for the browser's time: several times at first, then every two seconds."""
@@ -227,14 +227,14 @@ class MarkedTime:
         if mark.at is None:
             return arrival, Timing(TimedBy.ARRIVAL)
         if not self._clock.is_known:
-            message = "the page's clock is not measured yet; it answers each ping with a pong"
+            message = "the page's clock is not measured yet; it must answer each ping with a pong"
             raise RefusedTimeError(message, is_clock=True)
         known = self._clock.to_lsl(mark.at / 1000)
         ahead_s = known.lsl_time - arrival
         if ahead_s > MAX_LEAD_S + known.uncertainty_s:
             raise self._of_the_future(mark.ref, ahead_s)
         if ahead_s < -MAX_WEB_AGE_S:
-            message = f"it happened {-ahead_s:.0f} s ago, and {MAX_WEB_AGE_S:.0f} s is the limit"
+            message = f"it happened {-ahead_s:.0f} s ago, and the limit is {MAX_WEB_AGE_S:.0f} s"
             raise RefusedTimeError(message)
         self._doubted = None
         at = min(known.lsl_time, arrival + MAX_LEAD_S)
@@ -248,8 +248,8 @@ class MarkedTime:
         if is_clock:
             self._clock.reset()
         return RefusedTimeError(
-            f"it would happen {ahead_s:.3f} s after it came, and {MAX_LEAD_S:g} s is the limit; "
-            "'at' is when it happened, as performance.now() shows it",
+            f"it would happen {ahead_s:.3f} s after its arrival, and the limit is {MAX_LEAD_S:g} "
+            "s; 'at' is the time at which it happened, as performance.now() shows it",
             is_clock=is_clock,
         )
 

@@ -86,7 +86,7 @@ class ExperimentServer:
             settings = self._session.loaded().markers.web
             return _Wanted(settings, experiment_token(self._session.folder))
         except ConfigError as error:
-            _log.debug("what web experiments may do is not known", problem=str(error))
+            _log.debug("it is not known whether web experiments can mark", problem=str(error))
             return None
 
     async def _serve(self, wanted: _Wanted, listening: socket.socket) -> None:

@@ -105,14 +105,14 @@ def into(traces: Traces) -> Callable[[list[Samples]], None]:
 def _search(lsl: LslSettings, settings: Path, own: Path | None) -> list[str]:
     session = f"{lsl.session_id!r}" if lsl.session_id else "of LSL's own settings"
     peers = f", and asks {', '.join(lsl.known_peers)} directly" if lsl.known_peers else ""
-    own_file = own or "no file, so the usual ones"
+    own_file = own or "no file, so the defaults"
     return [
         f"This page looks in the LSL session {session}{peers}.",
-        f"LSL's own settings: {own_file}. Ours: {settings}, section [lsl].",
-        "The senders must run, and have the same session.",
-        "Run biosensor-gateway doctor here and on the sender's computer: it says what is wrong.",
-        f"A firewall must pass UDP {LSL_DISCOVERY_PORT} and LSL's ports from {LSL_BASE_PORT} on.",
-        "Where multicast does not get through, name the sender: known_peers in section [lsl].",
+        f"LSL's own settings: {own_file}. This program's: {settings}, section [lsl].",
+        "The senders must be running and use the same session.",
+        "Run biosensor-gateway doctor here and on the sender's computer: it reports what is wrong.",
+        f"Firewalls must allow UDP {LSL_DISCOVERY_PORT} and LSL's ports from {LSL_BASE_PORT}.",
+        "Where multicast does not get through, name the sender in known_peers in section [lsl].",
     ]
 
 

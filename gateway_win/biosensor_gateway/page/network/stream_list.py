@@ -68,7 +68,7 @@ def _counted(stream: NetworkStream, refusals: Refusals) -> dict[str, Counted]:
         refusals.refuse(Refusal.NO_COUNTS, about=about, why=error)
         return {}
     if not isinstance(counted, Mapping):
-        refusals.refuse(Refusal.NO_COUNTS, about=about, why="they are no object")
+        refusals.refuse(Refusal.NO_COUNTS, about=about, why="they are not an object")
         return {}
     entries = cast("Mapping[str, Any]", counted).items()
     return {

@@ -49,7 +49,7 @@ def add_agent(router: APIRouter, session: Session) -> None:
     async def start(change: SettingsChange) -> Outcome:
         """Start the agent with the devices of the settings."""
         if not any(each.enabled for each in session.configured()):
-            message = "the settings name no device yet; add one first"
+            message = "there is no device in the settings yet; add one first"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
         lost = lost_by_start(session.configured(), session.folder)
         if lost and not change.while_recording:
@@ -112,7 +112,7 @@ async def _end_the_rest(session: Session, recorder: Recorder) -> list[str]:
 def _left(session: Session) -> list[str]:
     said: list[str] = []
     if session.agent is not AgentState.ABSENT:
-        said.append("The agent streams on.")
+        said.append("The agent continues to stream.")
     if session.recording.is_running:
         said.append("The recording continues.")
     return said

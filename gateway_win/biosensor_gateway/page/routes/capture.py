@@ -178,7 +178,7 @@ class Capturing:
             If the sensor is unknown.
         """
         if self._desk.progress.phase in {Phase.CONNECTING, Phase.CAPTURING}:
-            message = "a device is being captured; wait for its end, or end it"
+            message = "a device is being captured; wait until that ends, or end it"
             raise ConfigError(ConfigReason.IN_USE, message)
         settings = self._settings(wanted)
         was_taken = await self._take_from_agent(settings, wanted)
@@ -221,7 +221,7 @@ class Capturing:
         for each in self._session.configured():
             if (each.sensor, each.unit) == which:
                 return each
-        message = f"the settings have no {wanted.sensor} {wanted.unit}; choose another"
+        message = f"there is no {wanted.sensor} {wanted.unit} in the settings; choose another"
         raise ConfigError(ConfigReason.NOT_FOUND, message)
 
     async def _take_from_agent(self, settings: DeviceSettings, wanted: NewCapture) -> bool:
@@ -229,14 +229,16 @@ class Capturing:
         if (settings.sensor_name, settings.unit) not in self._session.streamed():
             return False
         if file_going_on(self._session.folder) is not None:
-            message = "a recording goes on, and the agent has this device; capture it afterwards"
+            message = (
+                "a recording is running, and the agent is using this device; capture it afterwards"
+            )
             raise ConfigError(ConfigReason.IN_USE, message)
         if not wanted.end_agent:
             words = "End the agent, capture, and start it again"
             raise QuestionError(
-                "The agent has this device",
-                "Most devices have one connection only, so the agent must let go of it. All "
-                f"streams end; after some {wanted.seconds:.0f} s they begin again.",
+                "The agent is using this device",
+                "Most devices accept only one connection, so the agent must disconnect. All "
+                f"streams end; after about {wanted.seconds:.0f} s they start again.",
                 [Choice(words=words, more={"end_agent": True})],
             )
         try:

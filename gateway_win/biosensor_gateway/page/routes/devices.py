@@ -114,7 +114,7 @@ async def _switched(session: Session, command: str, device: WornDevice) -> Outco
     problem = answer.get("problem")
     if problem and not answer.get("pending"):
         # The running agent has done it; only an agent that is started later would not know.
-        return Outcome(sentence=f"Done, but it is not kept for the next start: {problem}.")
+        return Outcome(sentence=f"Done, but not saved for the next start: {problem}.")
     return Outcome(sentence=f"The device is {command}d.")
 
 
@@ -132,14 +132,14 @@ def add_devices(router: APIRouter, session: Session) -> None:
         """Add a device to the settings, and have the agent stream it."""
         if device.participant:
             require_participant(device.participant)
-        _ask_while_recording(session, device, "A sensor that is added now is not in it.")
+        _ask_while_recording(session, device, "A sensor that is added now will not be in it.")
         worn = {"participant": device.participant, "label": device.label}
         fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
         models = settings_models()
         editor.add_device(session.settings, models, device.sensor, fields)
         whose = f"{device.participant}'s " if device.participant else "The "
         name = f"{whose}{sensor_title(device.sensor)}"
-        return await _applied(session, f"{name} is added: its card shows when it streams")
+        return await _applied(session, f"{name} was added: its card appears when it streams")
 
     @router.patch("/devices")
     async def change(device: DeviceChange) -> Outcome:
@@ -148,21 +148,23 @@ def add_devices(router: APIRouter, session: Session) -> None:
         if fields.get("participant"):
             require_participant(str(fields["participant"]))
         if fields:
-            lost = "The sensor gets new streams, and from then on nothing of it is in the file."
+            lost = "The sensor gets new streams, and from then on none of its data is in the file."
             _ask_while_recording(session, device, lost)
         # An empty value is the default, so that its key is removed.
         wanted = {key: None if value == "" else value for key, value in fields.items()}
         models = settings_models()
         editor.change_device(session.settings, models, device.sensor, device.unit, wanted)
-        return await _applied(session, "The device is changed in the settings")
+        return await _applied(session, "The device was changed in the settings")
 
     @router.delete("/devices")
     async def remove(device: DeviceRemoval) -> Outcome:
         """Remove a device from the settings; its streams end, and the others go on."""
-        _ask_while_recording(session, device, "From then on nothing of the sensor is in the file.")
+        _ask_while_recording(
+            session, device, "From then on, none of the sensor's data is in the file."
+        )
         models = settings_models()
         editor.remove_device(session.settings, models, device.sensor, device.unit)
-        return await _applied(session, "The device is no longer in the settings")
+        return await _applied(session, "The device was removed from the settings")
 
     @router.get("/devices/log")
     async def device_log(sensor: str, unit: str, participant: str = "", label: str = "") -> LogView:
@@ -178,7 +180,7 @@ def _add_participant(router: APIRouter, session: Session) -> None:
     @router.put("/participant")
     async def set_participant(wanted: ParticipantNow) -> Outcome:
         """Set the participant of all sensors of the settings; wait until they stream again."""
-        lost = "All sensors get new streams, and from then on nothing of them is in the file."
+        lost = "All sensors get new streams, and from then on none of their data is in the file."
         _ask_while_recording(session, wanted, lost)
         waited_for = await worn_by(session, wanted.participant)
         if waited_for:
@@ -244,8 +246,8 @@ def _ask_while_recording(session: Session, change: SettingsChange, lost: str) ->
     """
     file = file_going_on(session.folder)
     if file is not None and not change.while_recording:
-        again = Choice(words="Change it all the same", more={"while_recording": True})
-        raise QuestionError("A recording goes on", f"It is recorded to {file}. {lost}", [again])
+        again = Choice(words="Change it anyway", more={"while_recording": True})
+        raise QuestionError("A recording is running", f"The file is {file}. {lost}", [again])
 
 
 def started(session: Session, *, virtual: bool) -> Outcome:
@@ -278,7 +280,7 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
         ``BUSY`` if one runs already; ``ABSENT`` if the system cannot start it.
     """
     if is_held(folder):
-        raise TransportError(TransportReason.BUSY, "an agent runs already; end it first")
+        raise TransportError(TransportReason.BUSY, "an agent is already running; end it first")
     what = ["--simulate", ALL_VIRTUAL] if virtual else ["--settings", str(settings)]
     try:
         # By a variable for virtual devices, because a file that an option names must exist.

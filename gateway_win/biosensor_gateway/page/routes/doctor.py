@@ -183,7 +183,7 @@ class NetworkAnswer:
             ``BUSY`` if another program has the port.
         """
         if self._task is not None and not self._task.done():
-            message = "this computer answers already; use the code that it shows, or cancel it"
+            message = "this computer is already answering; use the code that it shows, or cancel"
             raise ConfigError(ConfigReason.IN_USE, message)
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._task = asyncio.create_task(self._run(ready))
@@ -247,8 +247,8 @@ def _waiting(answerer: Answerer, way: WayHere) -> AnswerView:
 
 def add_doctor(router: APIRouter, session: Session, answer: NetworkAnswer) -> None:
     """Add the routes of the checks of this computer and of the network."""
-    here = OneAtATime("this computer is being examined already; wait for the outcome")
-    network = OneAtATime("the network is being tried already; wait for the outcome")
+    here = OneAtATime("this computer is already being checked; wait for the result")
+    network = OneAtATime("the network is already being tested; wait for the result")
 
     @router.post("/doctor")
     async def examine() -> Examination:

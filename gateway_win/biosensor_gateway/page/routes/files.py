@@ -139,17 +139,17 @@ class Exports:
             relative path; ``NOT_FOUND`` if there is no recording.
         """
         if self.view.is_running:
-            raise ConfigError(ConfigReason.IN_USE, "an export is running; wait for its end")
+            raise ConfigError(ConfigReason.IN_USE, "an export is running; wait until it ends")
         for each in wanted.formats:
             if each not in FORMATS:
-                message = f"there is no format {each!r}; there is {', '.join(FORMATS)}"
+                message = f"there is no format {each!r}; choose from {', '.join(FORMATS)}"
                 raise ConfigError(ConfigReason.WRONG_VALUE, message)
         output = whole_path(wanted.output) if wanted.output else None
         recordings, left_out = recordings_in([whole_path(wanted.path)])
         if output is not None and "bids" not in wanted.formats and not output.is_dir():
             message = f"there is no folder {output}; create it first"
             raise ConfigError(ConfigReason.NOT_FOUND, message)
-        said = [f"{each} is left out, for it was salvaged beside it" for each in left_out]
+        said = [f"{each} is left out, because it was salvaged next to it" for each in left_out]
         self._is_unwanted = False
         self.view = ExportView(is_running=True, count=len(recordings), said=said)
         task = Task(wanted.formats, Selection(), output=output)
@@ -181,7 +181,7 @@ class Exports:
             self.view.done.append(_exported(each))
             if self._is_unwanted and len(self.view.done) < len(recordings):
                 left = len(recordings) - len(self.view.done)
-                self.view.problem = f"ended before its time: {left} recordings are not written"
+                self.view.problem = f"ended early: {left} recordings are not written"
                 return
 
     @contextlib.contextmanager
@@ -304,7 +304,7 @@ def _exported(one: Exported) -> ExportedView:
     if one.error:
         said = [one.error]
     elif one.outcome is None:
-        said = [f"{one.recording} was added before"]
+        said = [f"{one.recording} was already added"]
     else:
         said = list(sentences(one.outcome))
     return ExportedView(recording=one.recording.name, is_certain=one.is_certain, said=said)

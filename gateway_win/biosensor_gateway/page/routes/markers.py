@@ -111,7 +111,9 @@ class Marking:
         said = f"Marked: {marker.note or marker.marker}"
         if not sent.get("received", True):
             return f"{said}, but no program receives it, so it is in no recording."
-        return said if self._session.recording.is_running else f"{said}; this page records nothing."
+        return (
+            said if self._session.recording.is_running else f"{said}; this page is not recording."
+        )
 
     async def undo(self, number: int | None) -> None:
         """Undo a marker, which is not deleted.
@@ -136,7 +138,7 @@ class Marking:
         if self._session.has_agent:
             await self._ask("reload", {})
             await self._look()
-        return "The buttons have these names now."
+        return "The buttons now have these names."
 
     async def _look(self) -> None:
         view = MarkersView.model_validate(await self._ask("markers", {}))

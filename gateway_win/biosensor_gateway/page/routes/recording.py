@@ -202,14 +202,14 @@ class Recorder:
         """
         verdict = self._verdict
         if verdict is None or not verdict.can_be_salvaged or verdict.salvaged:
-            message = "there is no recording here that was cut off and could be salvaged"
+            message = "no recording here was cut off and could be salvaged"
             raise ConfigError(ConfigReason.NOT_FOUND, message)
         file = Path(verdict.file)
         outcome = await asyncio.to_thread(salvage, file, salvaged_path(file))
         salvaged = str(outcome.written or file)
         self._verdict = verdict.model_copy(update={"salvaged": salvaged})
         await self._show()
-        return Outcome(sentence=f"Everything that can be read of it is in {salvaged}.")
+        return Outcome(sentence=f"All its readable data is in {salvaged}.")
 
     async def _show(self) -> None:
         """Update the view, except while a recording starts, when streams are still missing."""
@@ -242,7 +242,7 @@ class Recorder:
     def _start(self, wanted: NewRecording, labels: BidsLabels) -> LocalStarted:
         folder = Path(wanted.folder).expanduser() if wanted.folder else self._folder
         if not folder.is_absolute():
-            message = f"the folder {wanted.folder!r} is not a whole path, such as {self._folder}"
+            message = f"the folder {wanted.folder!r} is not a full path, such as {self._folder}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -322,7 +322,7 @@ def _unclosed(file: str, error: NotClosedError) -> VerdictView:
     findings = [*_told(Level.ERROR, error.why), *(verdict.findings if verdict else ())]
     return VerdictView(
         colour=str(Colour.RED.value),
-        sentence=verdict.sentence if verdict else "nothing of it can be read",
+        sentence=verdict.sentence if verdict else "none of it can be read",
         file=verdict.file if verdict else file,
         findings=list(map(_said, findings)),
         explained=list(map(explained, findings)),
@@ -417,7 +417,7 @@ def _others_streams(begun: LocalStarted) -> Iterator[str]:
         yield f"{are} recorded, too"
     others = [each for each in begun.foreign if each not in features]
     if others:
-        yield f"streams of other programs are recorded, too: {titles(others)}"
+        yield f"streams of other programs are also recorded: {titles(others)}"
 
 
 def _sender(stream: VisibleStream) -> str:
@@ -428,4 +428,4 @@ def _sender(stream: VisibleStream) -> str:
 def _was_away(absence: Absence, until: float) -> str:
     since = "" if absence.since is None else f"from {clock_time(absence.since, seconds=True)} "
     until_when = f"until {clock_time(until, seconds=True)}"
-    return f"{absence.name} did not send all that it should {since}{until_when}"
+    return f"{absence.name} did not send all of its data {since}{until_when}"

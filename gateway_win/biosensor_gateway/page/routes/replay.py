@@ -110,7 +110,7 @@ PLAYER = "play-recording"
 """First argument of the player's command line."""
 END_S = 10.0
 """Limit for the player's end, in which it sends its last samples and closes a large bag."""
-_DIED = "the program that plays has ended unexpectedly; play the recording again"
+_DIED = "the player has ended unexpectedly; play the recording again"
 
 
 class Replaying:
@@ -151,7 +151,7 @@ class Replaying:
             ``ABSENT`` if the system cannot start the player.
         """
         if self._replayed.is_running:
-            message = "a recording is being played already; end that replay first"
+            message = "a recording is already being played; end that replay first"
             raise ConfigError(ConfigReason.IN_USE, message)
         file = whole_path(wanted.path)
         job = ReplayJob(
@@ -170,7 +170,7 @@ class Replaying:
         await self._begun.wait()
         if self._last.phase is Phase.REFUSED:
             raise ReplayError(ReplayReason.REFUSED, self._last.said[0])
-        return Outcome(sentence=f"{file.name} is being played; it does not show a person now.")
+        return Outcome(sentence=f"{file.name} is being played; it is not a live measurement.")
 
     async def stop(self) -> Outcome:
         """End the replay; none of its streams is on the network when this returns.
@@ -251,7 +251,7 @@ def whole_path(text: str) -> Path:
     """
     path = Path(text).expanduser()
     if not path.is_absolute():
-        message = f"{text!r} is not a whole path of a recording; begin with the drive or with /"
+        message = f"{text!r} is not the full path of a recording; start with the drive or with /"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return path
 

@@ -32,7 +32,7 @@ class SearchView(BaseModel):
 def add_search(router: APIRouter, session: Session) -> None:
     """Add the routes that find and test devices."""
     search = Search(session.configured)
-    once = OneAtATime("another device is being tried; wait for the outcome")
+    once = OneAtATime("another device is being tested; wait for the result")
 
     @router.get("/search")
     async def found() -> SearchView:
@@ -51,7 +51,7 @@ def add_search(router: APIRouter, session: Session) -> None:
         settings = settings_of(candidate.sensor, candidate.settings)
         # The agent may stream others meanwhile.
         if (settings.sensor_name, settings.unit) in session.streamed():
-            message = "the agent has this device; its card shows what it sends"
+            message = "the agent is using this device; its card shows what it sends"
             raise TransportError(TransportReason.BUSY, message)
         with once.turn():
             return described(await run_device_test(settings, TRIAL_S))
@@ -78,7 +78,7 @@ class Search:
             ``IN_USE`` if a search is going on.
         """
         if self._is_running:
-            raise ConfigError(ConfigReason.IN_USE, "a search is going on; wait for its end")
+            raise ConfigError(ConfigReason.IN_USE, "a search is running; wait until it ends")
         self._begun_s = time.monotonic()
         self._sections = []
         self._task = asyncio.create_task(self._run())

@@ -351,7 +351,7 @@ def _unknown(remote: RemoteControl) -> str:
 
 def _not_closed(file: Path, seen: FileSummary) -> str:
     if not seen.bytes:
-        return f"{file} is empty or not there: nothing was recorded to it"
+        return f"{file} is empty or missing: nothing was recorded to it"
     if not seen.is_whole:
         return (
             f"{file} no longer grows, but breaks off or is damaged; look at it with: "

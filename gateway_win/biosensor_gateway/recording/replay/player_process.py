@@ -157,7 +157,7 @@ FLUSH_S = 0.04
 ENDS_WITHIN_S = 10.0
 """Limit for the end; closing the outlets of many streams takes some seconds."""
 _TOLD_EVERY = 12
-_ALLOWED_BY = "tick 'also beside the real sensors'"
+_ALLOWED_BY = "tick 'also alongside the real sensors'"
 
 
 def play_for_another() -> int:

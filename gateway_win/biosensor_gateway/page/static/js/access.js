@@ -31,5 +31,5 @@ export function Access({ sensor, act }) {
   return html`
     <h3>Access to the vendor's service</h3>
     ${own.map((secret) => html`<${Secret} key=${secret.name} secret=${secret} act=${act} onKept=${look} />`)}
-    <p class="small soft">The system's keyring keeps what you enter. It is never shown again, and is in no file of this program.</p>`;
+    <p class="small soft">The system's keyring keeps what you enter. It is never shown again, and is not in any file of this program.</p>`;
 }

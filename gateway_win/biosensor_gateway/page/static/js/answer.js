@@ -17,9 +17,9 @@ function Invitation({ answer }) {
       <dt>Code</dt><dd><code class="code">${answer.code}</code></dd>
       ${port && html`<dt>Port</dt><dd><code>${answer.port}</code></dd>`}
     </dl>
-    <p class="small">Enter them at the other computer, on its page under <em>Check this computer</em>, or type there: <code>biosensor-gateway doctor ${typed}</code>; where the node is: <code>python3 -m lsl_to_ros.doctor ${typed}</code></p>
+    <p class="small">Enter them on the other computer, on its page under <em>Check this computer</em>, or type there: <code>biosensor-gateway doctor ${typed}</code>; where the node is: <code>python3 -m lsl_to_ros.doctor ${typed}</code></p>
     ${answer.others.length > 0 && html`<p class="small soft">This computer's other addresses: ${answer.others.join(", ")}</p>`}
-    <details><summary class="small">It says there that nothing comes back</summary><p class="small">Open the port here:</p><pre class="small">${answer.opening}</pre></details>`;
+    <details><summary class="small">The other computer reports that nothing comes back</summary><p class="small">Open the port here:</p><pre class="small">${answer.opening}</pre></details>`;
 }
 
 export function Answer() {
@@ -42,11 +42,11 @@ export function Answer() {
     return () => clearInterval(timer);
   }, [isOn]);
   if (!answer) return problem && html`<p class="reason" role="alert">${problem}</p>`;
-  const word = { waiting: "For ten minutes this computer answers whoever knows the code.", trying: "Another computer is there. Both try the network, for about 15 s …" }[answer.state];
+  const word = { waiting: "For ten minutes, this computer answers any computer that knows the code.", trying: "Another computer is connected. Both are testing the network, for about 15 s …" }[answer.state];
   return html`
     <div class="answer" role="group" aria-label="Answer another computer">
       ${isOn
-        ? html`<button onClick=${() => tell("DELETE")} disabled=${answer.state === "trying"}>Cancel the answer</button>`
+        ? html`<button onClick=${() => tell("DELETE")} disabled=${answer.state === "trying"}>Stop answering</button>`
         : html`<button onClick=${() => tell("POST")}>Answer another computer</button>`}
       ${isOn && html`<p role="status">${word}</p>`}
       ${answer.state === "waiting" && html`<${Invitation} answer=${answer} />`}

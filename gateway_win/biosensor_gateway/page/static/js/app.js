@@ -134,7 +134,7 @@ function App() {
       ${status && html`<${Notices} status=${status} />`}
       ${status && html`<${ReplayNotice} replay=${status.replay} act=${act} />`}
       ${status?.share && html`<${Share} share=${status.share} />`}
-      ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page.</p>`}
+      ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing shown here is current. If it was ended, start it again: biosensor-gateway page.</p>`}
       ${capture && html`<${Capture} key=${capture.key} act=${act} chosen=${capture.device} onSetup=${() => setSetup(true)} onClose=${() => setCapture(null)} />`}
       ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onCapture=${choose} onClose=${() => setSetup(false)} />`}
       ${isReplay && status && html`<${Replay} act=${act} isRunning=${status.replay.is_running} onClose=${() => setReplay(false)} />`}

@@ -6,8 +6,8 @@ import { useOneAtATime } from "./one_at_a_time.js";
 import { COLOURS } from "./recording.js";
 import { clock } from "./words.js";
 
-const NOTHING = ["○", "soft", "nothing is recorded"];
-const ENDED = ["▲", "bad", "the recording has ended by itself"];
+const NOTHING = ["○", "soft", "not recording"];
+const ENDED = ["▲", "bad", "the recording ended unexpectedly"];
 
 function standing(recording) {
   const { verdict } = recording;
@@ -28,7 +28,7 @@ export function Bar({ status, act, isOver }) {
   const isOpen = recording.is_running || tone === ENDED[1];
   return html`
     <div class=${`bar-place ${isOver ? "over" : ""}`}>
-      <section class="bar" aria-label="What is recorded now">
+      <section class="bar" aria-label="Current recording">
         <p class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${words}</p>
         ${recording.is_running && html`<span class="clock">${clock(recording.elapsed_s)}</span>`}
         ${isOpen && said.length > 0 && html`<p class="small said" title=${said.join("\n")}>${said[0]}${said.length > 1 && ` (and ${said.length - 1} more)`}</p>`}

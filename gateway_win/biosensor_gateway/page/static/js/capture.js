@@ -15,7 +15,7 @@ function Choice({ devices, onStart, onSetup, onClose }) {
   const device = devices.find((each) => keyOf(each) === key) ?? devices[0];
   if (!device) {
     return html`
-      <p>No sensor is set up yet. Find yours first; beside each that is found, there is a button to capture it.</p>
+      <p>No sensor is set up yet. Find yours first; next to each sensor found, there is a button to capture it.</p>
       <div class="buttons"><button class="main" onClick=${() => { onClose(); onSetup(); }}>Find sensors</button></div>`;
   }
   const start = (event) => {
@@ -31,7 +31,7 @@ function Choice({ devices, onStart, onSetup, onClose }) {
       </label>
       <button class="main">Capture it for a minute</button>
     </form>
-    <p class="small soft">Put it on, or have it worn. Nothing is saved before you have seen what the file would hold, and nothing is ever sent by this program.</p>`;
+    <p class="small soft">Put it on, or let someone wear it. Nothing is saved before you have seen what the file would contain, and this program never sends anything.</p>`;
 }
 
 function Running({ view, onEnd }) {
@@ -42,7 +42,7 @@ function Running({ view, onEnd }) {
       <label>${Math.floor(view.elapsed_s)} of ${view.seconds.toFixed(0)} s, ${view.packets} packets
         <progress max=${view.seconds} value=${view.elapsed_s}></progress>
       </label>`}
-    <div class="buttons"><button onClick=${onEnd}>End it, and keep nothing</button></div>`;
+    <div class="buttons"><button onClick=${onEnd}>End it and keep nothing</button></div>`;
 }
 
 function Whole() {
@@ -69,14 +69,14 @@ function Ready({ view, onSave, onEnd }) {
   return html`
     <h3>What would leave this computer</h3>
     <pre class="fix small" tabindex="0" aria-label="What would leave this computer">${view.lines.join("\n")}</pre>
-    ${view.problems.map((sentence) => html`<p class="reason small">What the driver found wrong: ${sentence}</p>`)}
+    ${view.problems.map((sentence) => html`<p class="reason small">The driver reported: ${sentence}</p>`)}
     <${Whole} />
-    <h3>Who wore it must agree</h3>
+    <h3>The wearer must agree</h3>
     <p>${view.consent}</p>
     <form onSubmit=${save}>
       <label class="check"><input type="checkbox" checked=${isAgreed} onChange=${(event) => setAgreed(event.target.checked)} /> ${view.agreed}</label>
-      <label class="wide">What you saw, in a line, without names<input type="text" maxlength="300" value=${note} onInput=${(event) => setNote(event.target.value)} /></label>
-      <label class="wide">Into this folder<input type="text" value=${folder} onInput=${(event) => setFolder(event.target.value)} /></label>
+      <label class="wide">What you saw, in one line, without names<input type="text" maxlength="300" value=${note} onInput=${(event) => setNote(event.target.value)} /></label>
+      <label class="wide">Save to this folder<input type="text" value=${folder} onInput=${(event) => setFolder(event.target.value)} /></label>
       <button class="main" disabled=${!isAgreed || !folder.trim()}>Save the file</button>
       <button type="button" onClick=${onEnd}>Throw it away</button>
     </form>`;
@@ -120,7 +120,7 @@ export function Capture({ act, chosen, onSetup, onClose }) {
         <h2 id="capture">Help us: capture a device</h2>
         <div class="buttons"><button onClick=${onClose}>Close<span class="hidden"> the capture</span></button></div>
       </div>
-      <p>No driver of this program has met its hardware yet. A minute of the bytes of your device, also if all works, shows whether its driver is right.</p>
+      <p>No driver of this program has met its hardware yet. One minute of your device's bytes, even if everything works, shows whether its driver is right.</p>
       ${problem && html`<p class="reason" role="alert">${problem}</p>`}
       ${said && html`<p role="status" class="file">${said}</p>`}
       ${view?.phase === "failed" && html`<p class="reason" role="alert">${view.title}: ${view.problem}</p>`}

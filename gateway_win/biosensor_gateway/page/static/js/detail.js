@@ -110,12 +110,12 @@ function Edit({ device, act }) {
       <button>Save</button>
       ${isNew && html`<span class="small warned">not saved yet</span>`}
     </form>
-    <p class="small soft">Saving makes new streams: their names have participant and label in them. Other devices stream on.</p>`;
+    <p class="small soft">Saving creates new streams: their names contain participant and label. Other devices continue to stream.</p>`;
 }
 
 // Says of traces that nobody is measured now.
 export function Played({ device }) {
-  return device.replay && html`<p class="notice-line">This is a replay of <span class="file">${device.replay}</span>. It was recorded earlier, and nobody is measured now.</p>`;
+  return device.replay && html`<p class="notice-line">This is a replay of <span class="file">${device.replay}</span>. It was recorded earlier; nobody is being measured now.</p>`;
 }
 
 export function Detail({ live, device, isVirtual, act, onCapture, onClose }) {

@@ -13,7 +13,7 @@ function Outcome({ outcome }) {
   };
   return html`
     <div class="small">
-      <p class="state ${isWell ? "good" : "bad"}"><span aria-hidden="true">${isWell ? "●" : "▲"}</span> ${isWell ? "it works" : outcome.connected ? "it is connected, but not all is well" : "it could not be connected"}</p>
+      <p class="state ${isWell ? "good" : "bad"}"><span aria-hidden="true">${isWell ? "●" : "▲"}</span> ${isWell ? "it works" : outcome.connected ? "it is connected, but something is wrong" : "it could not be connected"}</p>
       ${outcome.problems.map((sentence) => html`<p class="reason">${sentence}</p>`)}
       ${outcome.connected && html`<ul class="legend">${Object.entries(outcome.streams).map(([name, each]) => html`<li>${name}: ${rate(each)}</li>`)}</ul>`}
     </div>`;

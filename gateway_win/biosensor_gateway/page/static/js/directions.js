@@ -19,7 +19,7 @@ function Directions({ rows }) {
 }
 
 export function Outcome({ outcome }) {
-  const word = outcome.good ? "Streams get through in both directions." : "Something is in the way; what opens it stands below.";
+  const word = outcome.good ? "Streams get through in both directions." : "Something is blocking them; see below how to allow them.";
   return html`
     <p role="status">${word}</p>
     ${outcome.sides.map((each) => html`<p class="small soft file">${each}</p>`)}

@@ -9,7 +9,7 @@ function sentence(outcome) {
   const { error: errors, warning: warnings } = outcome.counts;
   if (!errors && !warnings) return "Nothing is wrong with this computer.";
   const named = (n, word) => `${n} ${word}${n === 1 ? "" : "s"}`;
-  return `${[errors && named(errors, "error"), warnings && named(warnings, "warning")].filter(Boolean).join(" and ")}; what fixes each stands below it.`;
+  return `${[errors && named(errors, "error"), warnings && named(warnings, "warning")].filter(Boolean).join(" and ")}; below each is how to fix it.`;
 }
 
 export function Doctor({ onClose }) {
@@ -43,7 +43,7 @@ export function Doctor({ onClose }) {
       ${problem && html`<p class="reason" role="alert">${problem}</p>`}
       ${!isRunning && html`<ul class="findings">${bad.map((each) => html`<${Finding} finding=${each} />`)}</ul>`}
       ${!isRunning && good.length > 0 && html`
-        <details><summary>What is in order (${good.length})</summary>
+        <details><summary>Passed checks (${good.length})</summary>
           <ul class="findings">${good.map((each) => html`<${Finding} finding=${each} />`)}</ul>
         </details>`}
     </section>

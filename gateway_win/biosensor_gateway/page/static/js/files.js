@@ -39,10 +39,10 @@ function Exported({ view, onEnd }) {
   return html`
     ${view.is_running && html`
       <p role="status">Writing ${view.format} of ${view.recording || "the first recording"} …</p>
-      <progress max=${view.count || 1} value=${place} aria-label="How much is exported"></progress>
+      <progress max=${view.count || 1} value=${place} aria-label="Export progress"></progress>
       ${view.count > 1 && html`<button onClick=${onEnd}>End after this recording</button>`}`}
     ${!view.is_running && view.count > 0 && html`
-      <p class=${`state ${isWhole ? "good" : "warn"}`} role="status"><span aria-hidden="true">${isWhole ? "●" : "◐"}</span> ${isWhole ? "All is exported" : "Exported, but not all, or not for certain: read below"}</p>`}
+      <p class=${`state ${isWhole ? "good" : "warn"}`} role="status"><span aria-hidden="true">${isWhole ? "●" : "◐"}</span> ${isWhole ? "Everything is exported" : "Exported, but incomplete or uncertain: read below"}</p>`}
     ${view.problem && html`<p class="reason" role="alert">${view.problem}</p>`}
     ${view.said.map((each) => html`<p class="reason small">${each}</p>`)}
     ${view.done.map((each) => html`
@@ -89,8 +89,8 @@ function Export({ path, isFile }) {
     <h3 id="export">Export</h3>
     <form onSubmit=${start} aria-labelledby="export">
       ${formats.map((each) => html`<label class="check"><input type="checkbox" checked=${chosen.has(each)} onChange=${toggle(each)} /> ${MEANT[each] ?? each}</label>`)}
-      ${isFile && html`<label class="check"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings of its folder</label>`}
-      <label class="wide">Into this folder<input type="text" size="40" placeholder="beside the recording" value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
+      ${isFile && html`<label class="check"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings in its folder</label>`}
+      <label class="wide">Save to this folder<input type="text" size="40" placeholder="next to the recording" value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
       <button class="main" disabled=${!path || !chosen.size || view?.is_running}>${view?.is_running ? "Exporting …" : "Export"}</button>
     </form>
     ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
@@ -134,7 +134,7 @@ export function Files({ act, onClose }) {
               <option value=${OTHER}>another file or folder …</option>
             </select>
           </label>
-          ${choice === OTHER && html`<label class="wide">Its whole path<input type="text" size="48" disabled=${doing !== ""} value=${typed} onInput=${(event) => setTyped(event.target.value)} /></label>`}
+          ${choice === OTHER && html`<label class="wide">Full path<input type="text" size="48" disabled=${doing !== ""} value=${typed} onInput=${(event) => setTyped(event.target.value)} /></label>`}
         </form>
         <div class="buttons">
           <button disabled=${!path || doing !== ""} onClick=${() => look("check", setJudged)}>${doing === "check" ? "Reading …" : "Check it"}</button>

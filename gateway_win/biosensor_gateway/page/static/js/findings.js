@@ -9,8 +9,8 @@ const LEVELS = {
   ok: ["●", "good", "in order"],
 };
 
-const ABOUT = [["persons", "Data of persons"], ["others", "Streams of other programs"], ["ourselves", "What the program notes about itself"]];
-const IN_A_RECORDING = { error: ["▲", "bad", "wrong or missing"], warning: ["◐", "warn", "must be known"], note: ["i", "soft", "good to know"] };
+const ABOUT = [["persons", "Participants' data"], ["others", "Streams of other programs"], ["ourselves", "The program's notes about itself"]];
+const IN_A_RECORDING = { error: ["▲", "bad", "wrong or missing"], warning: ["◐", "warn", "must be considered"], note: ["i", "soft", "good to know"] };
 
 // What was found in a recording, by what it is about, each with its words explained.
 export function Explained({ findings }) {

@@ -12,7 +12,7 @@ function jumps(count) {
 }
 
 export function Clock({ clock }) {
-  if (!clock) return html`<h3>Clock</h3><p class="small soft">Known while the device sends, from its first packet on.</p>`;
+  if (!clock) return html`<h3>Clock</h3><p class="small soft">Known while the device is sending, from its first packet.</p>`;
   const anHour = Math.abs(clock.drift_ppm * 3.6);
   return html`
     <h3>Clock</h3>
@@ -23,7 +23,7 @@ export function Clock({ clock }) {
       <dt>Packets</dt><dd>${clock.observations}</dd>
       <dt>Jumps</dt><dd>${jumps(clock.reanchors)}</dd>
     </dl>
-    <p class="small soft">LSL's clock less the device's own; how fast the two part; how far the earliest packets lie from that line. Stamps follow the line.</p>`;
+    <p class="small soft">LSL's clock minus the device's own; how fast the two drift apart; how far the earliest packets are from that line. Time stamps follow the line.</p>`;
 }
 
 function Entry({ line }) {
@@ -52,7 +52,7 @@ export function Log({ device }) {
     return () => { isOpen = false; clearInterval(timer); };
   }, [sensor, unit, participant, label]);
   return html`
-    <h3>What the log says last</h3>
+    <h3>Latest log entries</h3>
     ${problem && html`<p class="reason small">${problem}</p>`}
     ${lines && !lines.length && html`<p class="small soft">Nothing about this device.</p>`}
     ${lines?.length > 0 && html`<div class="log small" tabindex="0" role="region" aria-label="Log of the device, the newest first"><ul>${lines.map((line) => html`<${Entry} line=${line} />`)}</ul></div>`}`;

@@ -80,7 +80,7 @@ function NameButtons({ names, act }) {
   };
   return html`
     <form onSubmit=${save}>
-      <label>Names of the buttons, one in each line; the first nine have the keys 1 to 9
+      <label>Names of the buttons, one per line; the first nine have the keys 1 to 9
         <textarea rows="5" cols="30" value=${text} onInput=${(event) => setText(event.target.value)}></textarea>
       </label>
       <div class="buttons"><button>Save</button><button type="button" onClick=${() => setText(null)}>Go back</button></div>
@@ -95,7 +95,7 @@ function Experiments({ experiments }) {
     ${!problem && html`
       <ul class="small plain-list" aria-labelledby="experiments">
         ${connected.map((each) => html`<li><span class="state good"><span aria-hidden="true">●</span> connected</span>: ${each.origin}${each.uncertainty_s == null ? ", its clock is being measured" : `, its clock is known${within(each.uncertainty_s)}`}</li>`)}
-        ${!connected.length && html`<li>None is connected. They may come from ${origins.join(", ")}; what they need is shown by <code>biosensor-gateway mark --web</code>.</li>`}
+        ${!connected.length && html`<li>None is connected. They may come from ${origins.join(", ")}; <code>biosensor-gateway mark --web</code> shows what they need.</li>`}
         ${foreign && html`<li class="reason">Refused: a page of ${foreign}, which is not among the origins in the settings.</li>`}
       </ul>`}`;
 }
@@ -110,7 +110,7 @@ export function Markers({ markers, experiments, isRecorded, isVirtual, act }) {
   return html`
     <section class="panel" aria-labelledby="markers">
       <h2 id="markers">Markers</h2>
-      ${!isRecorded && html`<p class="small notes">This page records nothing now: a marker is in a file only if another program records it.</p>`}
+      ${!isRecorded && html`<p class="small notes">This page is not recording now: a marker is in a file only if another program records it.</p>`}
       <${MarkerButtons} names=${markers.buttons} act=${act} />
       ${!isVirtual && markers.told && html`<${NameButtons} names=${markers.buttons} act=${act} />`}
       <form onSubmit=${send}>

@@ -26,7 +26,7 @@ export function NetworkCheck() {
   return html`
     <section class="panel" aria-labelledby="network">
       <h2 id="network">Network to another computer</h2>
-      <p class="small">Streams do not show up there, or those from there not here? Both try the network together: one answers and shows its address and a code, which are entered at the other. There, open this page and press <em>Answer another computer</em>, or type <code>biosensor-gateway doctor --answer</code>; where the node is, <code>python3 -m lsl_to_ros.doctor --answer</code>.</p>
+      <p class="small">Do streams not appear there, or those from there not here? The two computers test the network together: one answers and shows its address and a code, which you enter on the other. There, open this page and press <em>Answer another computer</em>, or type <code>biosensor-gateway doctor --answer</code>; where the node is, <code>python3 -m lsl_to_ros.doctor --answer</code>.</p>
       <form onSubmit=${check}>
         <label>Address of that computer
           <input type="text" maxlength="253" required value=${fields.host} onInput=${set("host")} />
@@ -34,9 +34,9 @@ export function NetworkCheck() {
         <label>Code
           <input type="text" maxlength="16" inputmode="numeric" autocomplete="off" required value=${fields.code} onInput=${set("code")} />
         </label>
-        <button disabled=${isRunning}>Try the network</button>
+        <button disabled=${isRunning}>Test the network</button>
       </form>
-      ${isRunning && html`<p role="status">Both computers try the network, for about 15 s …</p>`}
+      ${isRunning && html`<p role="status">Both computers are testing the network, for about 15 s …</p>`}
       ${problem && html`<p class="reason" role="alert">${problem}</p>`}
       ${outcome && html`<${Outcome} outcome=${outcome} />`}
       <${Answer} />

@@ -9,8 +9,8 @@ function goesOn(status) {
     : `The agent streams from ${count === 1 ? "one sensor" : `${count} sensors`}.`;
   return [
     status.agent !== "absent" && agent,
-    status.recording.is_running && `A recording goes on: ${status.recording.file}`,
-    status.replay.is_running && `A replay goes on, and ends with the page: ${status.replay.file}`,
+    status.recording.is_running && `A recording is running: ${status.recording.file}`,
+    status.replay.is_running && `A replay is running and ends with the page: ${status.replay.file}`,
   ].filter(Boolean);
 }
 
@@ -28,13 +28,13 @@ export function Quit({ status, act }) {
   return html`
     <button onClick=${ask} disabled=${busy !== ""}>Quit</button>
     <dialog ref=${dialog} aria-labelledby="quit" onCancel=${(event) => busy && event.preventDefault()}>
-      <h2 id="quit">What is to end?</h2>
+      <h2 id="quit">What do you want to end?</h2>
       ${running.map((sentence) => html`<p class="file">${sentence}</p>`)}
       <div class="choices">
         <button class="main" disabled=${busy !== ""} onClick=${() => quit("leave")}>Close only the page</button>
-        <p class="small soft">Streams and recordings go on without it. Open it again whenever you like.</p>
+        <p class="small soft">Streams and recordings continue without it. Open it again whenever you like.</p>
         <button disabled=${busy !== ""} onClick=${() => quit("end")}>${busy === "end" ? "Ending …" : everything}</button>
-        <p class="small soft">Every stream ends, also for LabRecorder and the robot.</p>
+        <p class="small soft">Every stream ends, including those that LabRecorder and the robot receive.</p>
         <button disabled=${busy !== ""} onClick=${() => dialog.current.close()}>Go back</button>
       </div>
     </dialog>`;

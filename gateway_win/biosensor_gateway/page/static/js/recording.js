@@ -9,9 +9,9 @@ import { clock, listed } from "./words.js";
 
 // A sign, a tone, a sentence, and the same for a narrow place.
 export const COLOURS = {
-  green: ["●", "good", "recording, all streams grow", "recording"],
-  amber: ["◐", "warn", "recording, all streams grow but for what is said below", "recording, with a note"],
-  red: ["▲", "bad", "recording, but not all is well", "recording, not all is well"],
+  green: ["●", "good", "recording, all streams are growing", "recording"],
+  amber: ["◐", "warn", "recording, all streams are growing except as noted below", "recording, with a note"],
+  red: ["▲", "bad", "recording, but something is wrong", "recording, something is wrong"],
 };
 
 function Progress({ recording, children }) {
@@ -28,7 +28,7 @@ function Progress({ recording, children }) {
     </div>
     <p class="small soft file">${recording.file}</p>
     ${recording.problems.length > 0 && html`<ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>`}
-    ${recording.notes.length > 0 && html`<ul class="notes" aria-label="What else is not as it should be">${recording.notes.map((each) => html`<li>${each}</li>`)}</ul>`}
+    ${recording.notes.length > 0 && html`<ul class="notes" aria-label="Other problems">${recording.notes.map((each) => html`<li>${each}</li>`)}</ul>`}
     ${recording.remarks.map((each) => html`<p class="small soft file">${each}</p>`)}`;
 }
 
@@ -46,18 +46,18 @@ function Running({ recording, act }) {
 export function State({ recording }) {
   if (recording.is_running) return html`<${Progress} recording=${recording} />`;
   if (recording.verdict) return html`<${Verdict} verdict=${recording.verdict} />`;
-  return html`<p>nothing is recorded</p>`;
+  return html`<p>not recording</p>`;
 }
 
 // Of a recording that was cut off, as on a full disk. For who only looks on, only what came of it.
 function Salvage({ verdict, act }) {
   const [isUnderWay, once] = useOneAtATime(act);
-  if (verdict.salvaged) return html`<p class="small file">Everything that can be read of it is in ${verdict.salvaged}</p>`;
+  if (verdict.salvaged) return html`<p class="small file">All its readable data is in ${verdict.salvaged}</p>`;
   if (!act || !verdict.can_be_salvaged) return null;
   return html`
     <div class="buttons">
       <button disabled=${isUnderWay} onClick=${() => once("POST", "/recording/salvage")}>${isUnderWay ? "Salvaging …" : "Salvage it"}</button>
-      <span class="small soft">Writes what can be read to a file beside it, which stays as it is. It needs as much room.</span>
+      <span class="small soft">Writes the readable data to a new file next to it and does not change it. This needs as much disk space again.</span>
     </div>`;
 }
 
@@ -118,8 +118,8 @@ function Begin({ status, act }) {
       ${box("task", "Task", fields.task, NAME)}
       ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, title: fields.folder || recording.folder, size: Math.max(34, recording.folder.length + 2) })}
       <button class="main" data-clear disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
-      <label class="check"><input type="checkbox" checked=${fields.only_ours} onChange=${(event) => setFields({ only_ours: event.target.checked })} /> only these sensors, no other program's streams</label>
-      <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax({ isLax: event.target.checked })} /> also without streams that are missing</label>
+      <label class="check"><input type="checkbox" checked=${fields.only_ours} onChange=${(event) => setFields({ only_ours: event.target.checked })} /> only these sensors, no streams of other programs</label>
+      <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax({ isLax: event.target.checked })} /> even if streams are missing</label>
     </form>`;
 }
 

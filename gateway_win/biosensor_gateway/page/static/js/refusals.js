@@ -19,7 +19,7 @@ export function Refused({ refusals, most = SHOWN }) {
   if (!now.length) return null;
   const more = now.length - most;
   return html`
-    <ul class="refused small" aria-label="What is not passed on as it came">
+    <ul class="refused small" aria-label="Data not passed on unchanged">
       ${now.slice(0, most).map((each) => html`<${Item} each=${each} />`)}
       ${more > 0 && html`<li class="soft">and ${more} more, in the details</li>`}
     </ul>`;
@@ -29,6 +29,6 @@ export function Refused({ refusals, most = SHOWN }) {
 export function AllRefused({ refusals }) {
   if (!refusals.length) return null;
   return html`
-    <h3>Not passed on as it came</h3>
+    <h3>Data not passed on unchanged</h3>
     <ul class="refused small">${[...refusals].sort((a, b) => b.now - a.now).map((each) => html`<${Item} each=${each} />`)}</ul>`;
 }

@@ -21,7 +21,7 @@ function speedOf(replay) {
 }
 
 function place(replay) {
-  if (!replay.is_playing) return replay.stream_count ? "about to begin" : "opening the recording …";
+  if (!replay.is_playing) return replay.stream_count ? "about to start" : "opening the recording …";
   return `${clock(replay.position_s)} of ${clock(replay.length_s)}${replay.lap > 1 ? `, round ${replay.lap}` : ""}`;
 }
 
@@ -52,12 +52,12 @@ export function ReplayNotice({ replay, act }) {
         ${act && html`<button disabled=${isUnderWay} onClick=${() => once("POST", "/replay/stop")}>${isUnderWay ? "Ending …" : "End the replay"}</button>`}
       </div>
       <p class="file">${replay.file}${speedOf(replay)}</p>
-      <progress max=${replay.length_s || 1} value=${replay.position_s} aria-label="Place in the recording"></progress>
+      <progress max=${replay.length_s || 1} value=${replay.position_s} aria-label="Position in the recording"></progress>
       <p class="facts small">
         <span class="clock">${place(replay)}</span>
         ${replay.stream_count > 0 && html`<span>${replay.received} of ${replay.stream_count} streams received by a program</span>`}
       </p>
-      <p class="small soft">It is sent as LSL streams of their own; whoever receives them is told that they are a replay. Its cards have the sign ↻.</p>
+      <p class="small soft">It is sent as separate LSL streams, which tell their receivers that they are a replay. Its cards have the sign ↻.</p>
       ${replay.said.map((each) => html`<p class="reason small">${each}</p>`)}
     </section>`;
 }
@@ -150,7 +150,7 @@ export function Replay({ act, isRunning, onClose }) {
             </select>
           </label>
           ${choice === OTHER && html`
-            <label class="wide">Its whole path, of an XDF file or a ROS bag
+            <label class="wide">Full path of an XDF file or a ROS bag
               <input type="text" required size="48" value=${typed} onInput=${(event) => setTyped(event.target.value)} />
             </label>`}
           <label>Speed
@@ -161,8 +161,8 @@ export function Replay({ act, isRunning, onClose }) {
           <label>From, as 1:30<input type="text" size="8" maxlength="40" placeholder="its start" value=${fields.begin} onInput=${set("begin")} /></label>
           <label>Until<input type="text" size="8" maxlength="40" placeholder="its end" value=${fields.end} onInput=${set("end")} /></label>
           <button class="main" disabled=${isUnderWay || isRunning || !contents || !chosen.size}>${isUnderWay ? "Opening …" : "Play"}</button>
-          <label class="check"><input type="checkbox" checked=${checks.loop} onChange=${tick("loop")} /> again and again</label>
-          <label class="check"><input type="checkbox" checked=${checks.beside_live} onChange=${tick("beside_live")} /> also beside the real sensors</label>
+          <label class="check"><input type="checkbox" checked=${checks.loop} onChange=${tick("loop")} /> repeat</label>
+          <label class="check"><input type="checkbox" checked=${checks.beside_live} onChange=${tick("beside_live")} /> also alongside the real sensors</label>
         </form>`}
       ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
       ${!contents && !problem && path && html`<p class="small soft" role="status">Reading the recording …</p>`}

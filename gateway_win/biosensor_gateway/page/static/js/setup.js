@@ -68,7 +68,7 @@ export function Setup({ act, onCapture, onClose, configured }) {
         </div>
       </div>
       ${problem && html`<p class="reason" role="alert">${problem}</p>`}
-      ${!search && !problem && html`<p role="status">Beginning to search …</p>`}
+      ${!search && !problem && html`<p role="status">Starting the search …</p>`}
       ${isRunning && html`
         <label>Searching by Bluetooth, at serial ports and at the vendors' programs. Put your sensors on, or switch them on.
           <progress max=${search.seconds} value=${search.elapsed_s}></progress>
@@ -77,7 +77,7 @@ export function Setup({ act, onCapture, onClose, configured }) {
       ${search?.done && !found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
       ${places.flatMap((each) => each.advice).map((sentence) => html`<p class="small">${sentence}</p>`)}
       ${failed.length > 0 && html`
-        <details><summary>Where it was not possible to look</summary>
+        <details><summary>Places that could not be searched</summary>
           <ul>${failed.map((each) => html`<li class="small">${each.where}: ${each.problem}</li>`)}</ul>
         </details>`}
     </section>`;

@@ -6,8 +6,8 @@ import { Copied } from "./detail.js";
 export function Share({ share }) {
   return html`
     <details class="panel notice">
-      <summary>Other computers may look on</summary>
-      <p class="small">They see devices, traces and the recording, and can change nothing. Whoever has the address can look on until this page ends.</p>
+      <summary>Other computers can view this page</summary>
+      <p class="small">They see devices, traces and the recording, and cannot change anything. Anyone with the address can view the page until it ends.</p>
       <ul class="small">${share.addresses.map((address) => html`<li><${Copied} text=${address} /></li>`)}</ul>
       <p class="small">The browser there asks about the certificate the first time. It is this computer's if its SHA-256 fingerprint is:</p>
       <p class="small file"><code>${share.fingerprint}</code></p>

@@ -30,11 +30,11 @@ export function Agent({ status }) {
 
 export function Notices({ status }) {
   return html`
-    ${status.problem && html`<section class="panel problem" role="alert"><h2>The settings file has a mistake</h2><p>${status.problem}</p><p class="small soft">Until it is fixed, the agent goes on with what it had.</p></section>`}
-    ${status.virtual && html`<p class="panel notice">These are virtual sensors: their signals are made up or were recorded.</p>`}
-    ${status.restarts > 0 && html`<p class="panel notice">The agent had died (${status.last_end}) and was started again. What it could not send then is a gap in every stream.</p>`}
-    ${status.refusals.some((each) => each.now) && html`<section class="panel amber"><h2>Not all is passed on as it came</h2><${Refused} refusals=${status.refusals} most=${MOST_REFUSED} /></section>`}
-    ${status.skipped > 0 && html`<p class="panel notice small">This page was too slow for ${status.skipped} samples, and left them out of its traces. Streams and recordings have them.</p>`}`;
+    ${status.problem && html`<section class="panel problem" role="alert"><h2>The settings file has a mistake</h2><p>${status.problem}</p><p class="small soft">Until it is fixed, the agent continues with the previous settings.</p></section>`}
+    ${status.virtual && html`<p class="panel notice">These are virtual sensors: their signals are synthetic or recorded.</p>`}
+    ${status.restarts > 0 && html`<p class="panel notice">The agent had died (${status.last_end}) and was restarted. The time in between is a gap in every stream.</p>`}
+    ${status.refusals.some((each) => each.now) && html`<section class="panel amber"><h2>Some data is not passed on unchanged</h2><${Refused} refusals=${status.refusals} most=${MOST_REFUSED} /></section>`}
+    ${status.skipped > 0 && html`<p class="panel notice small">This page was too slow for ${status.skipped} samples and left them out of its traces. They are in streams and recordings.</p>`}`;
 }
 
 // Cards of what is played look like those of sensors, but for the mark.

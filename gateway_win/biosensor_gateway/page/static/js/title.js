@@ -7,7 +7,7 @@ const OWN = document.title;
 const TOLD = {
   green: ["● recording", "icon-green.svg"],
   amber: ["◐ recording, look at it", "icon-amber.svg"],
-  red: ["▲ recording: not all is well", "icon-red.svg"],
+  red: ["▲ recording: something is wrong", "icon-red.svg"],
   ended: ["▲ the recording has ended", "icon-red.svg"],
   away: ["▲ no answer", "icon-red.svg"],
 };
@@ -54,7 +54,7 @@ export function Alarm() {
     if (wanted) beep();
     if (wanted && globalThis.Notification?.permission === "default") await Notification.requestPermission();
   };
-  return html`<label class="check small"><input type="checkbox" checked=${isOn} onChange=${change} /> sound and notice when not all is well</label>`;
+  return html`<label class="check small"><input type="checkbox" checked=${isOn} onChange=${change} /> sound and notification when something is wrong</label>`;
 }
 
 export function useTitle(status) {

@@ -23,7 +23,7 @@ function View() {
   const isPast = useScrolledPast(session, Boolean(status) && !status.ended && !device);
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   if (!status || status.ended) {
-    return html`<main><p class="panel problem" role="alert">The page on the other computer does not answer. Nothing can be seen of now. It may have been ended there, or the network is cut.</p></main>`;
+    return html`<main><p class="panel problem" role="alert">The page on the other computer does not answer. Nothing shown here is current. It may have been ended there, or the network is cut.</p></main>`;
   }
   return html`
     <header>

@@ -2,7 +2,7 @@
 
 const STATES = {
   streaming: ["●", "good", "streaming"],
-  partly: ["◐", "warn", "streaming, but not all as it came"],
+  partly: ["◐", "warn", "streaming, but some data was changed or dropped"],
   "not worn": ["◐", "warn", "not worn"],
   discovering: ["◌", "warn", "looking for it"],
   connecting: ["◌", "warn", "connecting"],

@@ -30,13 +30,13 @@ function Nothing({ status }) {
     <section class="panel notice">
       <h2>No LSL stream is seen here yet</h2>
       <ul class="checks">${status.search.map((each) => html`<li>${each}</li>`)}</ul>
-      <p class="small soft">This page goes on looking.</p>
+      <p class="small soft">This page keeps looking.</p>
     </section>`;
 }
 
 function Notices({ status }) {
   return html`
-    ${status.not_received > 0 && html`<p class="panel notice">${status.not_received} of the streams in view are not received: ${status.most_inlets} are the most at a time, so that this page does not multiply the traffic. Show fewer by their names, or close other windows of this page.</p>`}
+    ${status.not_received > 0 && html`<p class="panel notice">${status.not_received} of the streams in view are not received: at most ${status.most_inlets} are received at a time, so that this page does not multiply the traffic. Show fewer by their names, or close other windows of this page.</p>`}
     ${status.problems.length > 0 && html`<section class="panel problem"><h2>Not all streams can be shown</h2><ul class="checks small">${status.problems.map((each) => html`<li>${each}</li>`)}</ul></section>`}`;
 }
 
@@ -81,7 +81,7 @@ function App() {
   return html`
     <${Head} status=${status} />
     <main>
-      ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page --lsl.</p>`}
+      ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing shown here is current. If it was ended, start it again: biosensor-gateway page --lsl.</p>`}
       ${status && html`<${Notices} status=${status} />`}
       ${status && !all.length && !status.problems.length && html`<${Nothing} status=${status} />`}
       ${device
@@ -90,7 +90,7 @@ function App() {
           ${all.length > 1 && html`<${Filter} text=${text} onText=${setText} />`}
           <${SeenCards} live=${live.current} devices=${devices} visible=${visible.current} onOpen=${setOpen} />`}
     </main>
-    <footer class="small">Streams are received only while they are in view. Nothing on this page changes or stops one.</footer>`;
+    <footer class="small">Streams are received only while they are in view. Nothing on this page changes or stops a stream.</footer>`;
 }
 
 render(html`<${App} />`, document.getElementById("page"));

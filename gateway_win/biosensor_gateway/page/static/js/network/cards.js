@@ -29,7 +29,7 @@ export function cardStreams(device) {
 }
 
 export function Entries({ stream, most }) {
-  if (!stream.texts.length) return html`<p class="small soft">${stream.data_name}: no entry since this page looks</p>`;
+  if (!stream.texts.length) return html`<p class="small soft">${stream.data_name}: no entry since this page was opened</p>`;
   return html`
     <ul class="entries small" aria-label=${`newest entries of ${stream.data_name}`}>
       ${stream.texts.slice(0, most).map((each) => html`
