@@ -72,7 +72,7 @@ def test_any_numbers_become_channels(tmp_path: Path, storage: StoragePlugin) -> 
     made.write_bag(tmp_path / "robot", _robot(), storage)
     imported = import_bag(tmp_path / "robot", tmp_path / "robot.xdf")
     assert dict(imported.streams) == {"/joint_states": 200, "/load": 200, "/said": 1}
-    assert imported.left_out == {"/camera": "its field data holds images or the like, no numbers"}
+    assert imported.left_out == {"/camera": "its field data holds images or the like, not numbers"}
     assert not imported.damages
     joints, load, said = load_by_pyxdf(tmp_path / "robot.xdf")
     assert joints["info"]["name"] == ["joint_states"]
@@ -203,7 +203,7 @@ def test_texts_beside_numbers_are_said_to_be_left_out(tmp_path: Path) -> None:
     imported = import_bag(tmp_path / "live", tmp_path / "live.xdf")
     # What only names numbers is in their labels.
     assert {key.partition(".")[0] for key in imported.left_out} == {"/state"}
-    assert imported.left_out["/state.message"] == "it is text beside numbers"
+    assert imported.left_out["/state.message"] == "it is text next to numbers"
 
 
 def test_the_nodes_list_of_streams_tells_what_its_topics_do_not(tmp_path: Path) -> None:
@@ -395,7 +395,7 @@ def test_a_clock_that_nobody_knows_is_said(tmp_path: Path) -> None:
     (tmp_path / "a.xdf").write_bytes(made.xdf_file.xdf(header, samples))
     outcome = made.to_bag(tmp_path / "a.xdf", tmp_path / "a")
     (note,) = outcome.written[0].notes
-    assert "begin in 1970" in note
+    assert "start in 1970" in note
     import_bag(tmp_path / "a", tmp_path / "b.xdf")
     (stream,) = made.held(tmp_path / "b.xdf")
     assert stream.stamps.tolist() == [9.0]
@@ -516,7 +516,7 @@ def test_a_definition_without_a_field_of_ours_is_said(
     if owner == TIME:
         assert why == f"the definition of {kind} cannot be read"
     else:
-        assert why == f"its bag defines {owner} without the field {field}, or as another type"
+        assert why == f"the bag defines {owner} without the field {field}, or with another type"
     assert imported.streams == (("/load", 1),)
 
 
@@ -528,9 +528,12 @@ def _type_of(part: str) -> str:
 @pytest.mark.parametrize(
     ("message", "why"),
     [
-        (_samples([], [], 0), "0 labels and 0 units are no channels of a stream"),
-        (_samples(["ecg"], ["mV", "s"]), "1 labels and 2 units are no channels of a stream"),
-        (_samples(["a", "b"], ["", ""]), "it has another number of values than its stream"),
+        (_samples([], [], 0), "0 labels and 0 units do not describe the channels of a stream"),
+        (
+            _samples(["ecg"], ["mV", "s"]),
+            "1 labels and 2 units do not describe the channels of a stream",
+        ),
+        (_samples(["a", "b"], ["", ""]), "its number of values differs from its stream's"),
     ],
 )
 def test_samples_that_are_of_no_stream_are_left_out(tmp_path: Path, message: Any, why: str) -> None:

@@ -96,7 +96,7 @@ def test_whose_it_may_not_be_is_said_of_a_recording(
     with pytest.raises(Exit):
         compute_recording(path, tmp_path / "features.csv", print_json=False)
     said = " ".join(capsys.readouterr().out.split())
-    assert "from 12.0 s on it is of another agent" in said
+    assert "from 12.0 s on it belongs to another agent" in said
     assert "the file is called P07, but its sensors are worn by P01" in said
 
 
@@ -272,7 +272,9 @@ def test_a_wrong_rate_in_a_header_costs_no_beat(tmp_path: Path, header_hz: float
     (count,) = [count for name, count in told["streams"].items() if name.endswith("-beats")]
     assert count == pytest.approx(len(beats), abs=3)
     (remark,) = told["remarks"]
-    assert remark.startswith(f"amp: its header says {header_hz:g} Hz; it is taken as 130 Hz, that")
+    assert remark.startswith(
+        f"amp: its header says {header_hz:g} Hz; it is treated as 130 Hz, that"
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -340,7 +340,7 @@ def test_a_message_box_is_suspected_behind_silence(tmp_path: Path) -> None:
     [
         (b"220 mail.example ESMTP\r\n", RecorderReason.REFUSED, "220 mail"),
         # It hangs up.
-        (b"", RecorderReason.UNREACHABLE, "went away at 'update'"),
+        (b"", RecorderReason.UNREACHABLE, "disappeared at 'update'"),
     ],
 )
 def test_who_answers_otherwise_is_no_labrecorder(

@@ -120,7 +120,7 @@ def test_what_was_started_in_the_window_is_not_taken_for_ours(
     recorder.click_start()
     (by_hand,) = recorder.files
     begun = record("start", "--file", str(tmp_path / "ours.xdf"), "--timeout", "3")
-    assert "recording something else already" in sentence(begun)
+    assert "already be recording something else" in sentence(begun)
     ended = record("stop", "--file", str(by_hand), "--json")
     assert (ended.code, ended.json["verified"]) == (0, True)
 

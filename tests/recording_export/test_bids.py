@@ -507,7 +507,7 @@ def test_gaze_without_x_and_y_is_a_table_as_any_other(exported: Exporting) -> No
     (found,) = exported(content, "bids").written
     (path,) = found.path.rglob("*_recording-odd_physio.json")
     assert json.loads(path.read_text("utf-8"))["PhysioType"] == "generic"
-    assert any("no channel is known as x and y" in note for note in found.notes)
+    assert any("no channels are known to be x and y" in note for note in found.notes)
 
 
 # Rows for samples whose times are what they are.
@@ -695,7 +695,7 @@ def test_files_of_another_recording_are_not_overwritten(tmp_path: Path, root: Pa
     # Of the same name and person, recorded on another day.
     other = _recording(tmp_path / "other", "P01")
     other.write_bytes(other.read_bytes().replace(struct.pack("<f", 1.0), struct.pack("<f", 2.0)))
-    with pytest.raises(RecordingError, match=r"is in the data set already, of another recording"):
+    with pytest.raises(RecordingError, match=r"is already in the data set, from another recording"):
         _add(root, other)
     assert _files(root) == before
 
@@ -726,7 +726,7 @@ def test_two_recordings_of_different_sensors_do_not_become_one_run(
     evening.write_bytes(made.xdf(ours(1, band, "eda", numbers(9), later, rate=1.0)))
     _add(root, morning)
     before = _files(root)
-    with pytest.raises(RecordingError, match=r"ses-a.* is in the data set already, of another"):
+    with pytest.raises(RecordingError, match=r"ses-a.* is already in the data set, from another"):
         _add(root, evening)
     assert _files(root) == before
 

@@ -172,7 +172,7 @@ def test_all_that_happened_is_one_table_that_can_be_read(exported: Exporting) ->
     assert (first, undone) == (("baseline", "", "no"), ("stimulus\ton", "", "yes"))
     assert noted == ("note", "Übelkeit?", "no")
     begin_s = float(rows[0][1]) - float(rows[0][0])
-    assert f"The recording begins at {begin_s:.6f}" in (folder / "README.txt").read_text("utf-8")
+    assert f"The recording starts at {begin_s:.6f}" in (folder / "README.txt").read_text("utf-8")
     assert all(float(row[1]) - float(row[0]) == pytest.approx(begin_s) for row in rows)
 
 
@@ -356,7 +356,7 @@ def test_data_of_another_agent_are_told_and_not_well(exported: Exporting) -> Non
     outcome = exported(paused_recording(*acc(1000, 1020), more=texts), "csv")
     assert not outcome.is_whole
     (told,) = (each for each in sentences(outcome) if "another agent" in each)
-    assert told.startswith("gateway-lab_x2Dpc-events: from 12.0 s on it is of another agent")
+    assert told.startswith("gateway-lab_x2Dpc-events: from 12.0 s on it belongs to another agent")
     (readme,) = outcome.written[0].path.rglob("README.txt")
     assert "another person's" in " ".join(readme.read_text().split())
 

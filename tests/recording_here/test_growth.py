@@ -109,7 +109,7 @@ def test_a_stream_that_has_not_begun_is_named_until_it_has(written: Written) -> 
     assert written.codes() == [("", "not-begun")]
     written.write(data(1, 101.0) + data(1, 104.0))
     (found,) = written.growth.problems()
-    assert (found.level, found.text) == (Level.WARNING, "nothing was recorded yet of two")
+    assert (found.level, found.text) == (Level.WARNING, "nothing recorded yet from two")
     assert written.codes(silent=("two-id",)) == []
     written.write(data(1, 106.5))
     assert written.codes() == [("two", "stopped")]
@@ -360,7 +360,7 @@ def test_another_agent_is_told_while_it_is_recorded(
     ] * is_other
     if is_other:
         at = clock_time(UNIX_S + 1009.0, seconds=True)
-        assert found[0].text.startswith(f"from {at} on it is of another agent")
+        assert found[0].text.startswith(f"from {at} on it belongs to another agent")
     # Of another computer's agent it is not known when it began.
     assert not list(written.growth.other_agents("elsewhere", 1008.2)) or own_started != 1008.2
 

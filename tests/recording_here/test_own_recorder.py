@@ -440,7 +440,7 @@ def test_what_changed_under_way_is_a_warning_of_the_verdict(
     verdict = recording.stop().verdict
     told = [each for each in verdict.findings if each.code == "told"]
     assert {each.level for each in told} == {Level.WARNING}
-    assert "has other channels than before" in told[0].text
+    assert "has different channels now" in told[0].text
     assert verdict.colour is not Colour.GREEN
 
 

@@ -337,7 +337,7 @@ def test_it_records_until_it_is_stopped(
 
     again = record(*start)
     assert again.code == 1
-    assert f"recording already, to {file}" in again.err
+    assert f"already recording, to {file}" in again.err
     wait_until(lambda: _samples(record("status", "--json")) > 0, "it grows")
     during = record("status")
     assert during.code == 0, during

@@ -147,6 +147,6 @@ def test_of_a_window_it_is_watched_what_happened_so_far(
     file.write_bytes(paused_recording(*acc(1000, 1005), *acc(1009, 1020), more=beats))
     watch_file(file, as_json=False)
     said = capsys.readouterr().out
-    assert "it is of another agent" in said
+    assert "it belongs to another agent" in said
     assert "P01's Polar H10 was paused from" in said
     assert "gap so far" not in said

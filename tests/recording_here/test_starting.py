@@ -75,7 +75,7 @@ def test_two_streams_of_one_name_are_told_when_it_begins() -> None:
     ours, other = VisibleStream("P01-a", "P01@a", "here"), VisibleStream("b", "b-id", "there")
     assert list(doubles(Presence((ours, other, other), (other,), ()))) == []
     (sentence,) = doubles(Presence((ours, ours, other), (other,), ()))
-    assert sentence.startswith("there are two streams each of P01-a (here): another agent uses")
+    assert sentence.startswith("P01-a (here) exist twice each: another agent uses")
 
 
 AWAY = "polar_h10/A1 of P01 was paused the whole time, and "
@@ -115,7 +115,7 @@ def test_it_is_amber_with_a_sentence(tmp_path: Path) -> None:
 def test_without_a_word_of_a_person_it_is_red(tmp_path: Path) -> None:
     verdict = ended(tmp_path, "P01@zephyr-hr")
     texts = [each.text for each in verdict.findings if each.code == "away"]
-    assert texts == [f"{AWAY}nothing of it was recorded"]
+    assert texts == [f"{AWAY}none of its data was recorded"]
     assert verdict.colour is Colour.RED
 
 

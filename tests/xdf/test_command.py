@@ -227,7 +227,7 @@ def test_a_gap_is_a_warning_and_does_not_fail(command: Command) -> None:
     code, printed, _ = command(str(command.recording), content=GAP)
     assert code == 0
     assert "gaps (samples lost): 3.1 s at 9.9 s (30)" in printed
-    assert "warning: belt: 1 gap of 3.1 s together, about 30 samples lost" in printed
+    assert "warning: belt: 1 gap of 3.1 s in total, about 30 samples lost" in printed
     summary, where = printed.splitlines()[-2:]
     assert summary.endswith("2 warnings")
     assert where.endswith("recording-troubleshooting.md")

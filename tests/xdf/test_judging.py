@@ -149,7 +149,7 @@ def test_how_many_samples_may_be_there_twice(jitter_s: float) -> None:
     doubled += np.random.default_rng(1).uniform(0.0, jitter_s, len(doubled))
     about = "about " if jitter_s else ""
     told = text_of(check(_one(doubled.tolist())), "backwards", "a")
-    assert told.endswith(f": {about}40 samples are there twice, or its sender's clock was set back")
+    assert told.endswith(f": {about}40 samples are duplicated, or its sender's clock was set back")
     # More than all there are cannot be there twice.
     restarted = np.concatenate([stamps[:1000], stamps[1000:] - stamps[1000] + 1.0])
     told = text_of(check(_one(restarted.tolist())), "backwards", "a")
@@ -414,7 +414,7 @@ def test_another_agent_is_told_from_one_that_was_started_again(
     found = [each for each in report.findings if each.code == "another-agent"]
     assert [each.level for each in found] == [Level.ERROR] * is_other
     if is_other:
-        assert found[0].text.startswith("from 9.0 s on it is of another agent")
+        assert found[0].text.startswith("from 9.0 s on it belongs to another agent")
         assert verdict(report).colour is Colour.RED
 
 
@@ -442,7 +442,7 @@ def test_a_gap_in_a_pause_is_no_loss() -> None:
     report = check(paused_recording(*acc(1000, 1005), *acc(1009, 1020)))
     name = "P01-polar_h10-A1-acc"
     assert ("gaps", name) not in codes(report)
-    assert text_of(report, "paused", name) == "1 pause of 4.02 s together; nothing of it is lost"
+    assert text_of(report, "paused", name) == "1 pause of 4.02 s in total; nothing is lost"
     assert "lost)" not in as_text(report)
     (judged_stream,) = (each for each in verdict(report).streams if each.name == name)
     assert judged_stream.gaps == 0
@@ -451,7 +451,7 @@ def test_a_gap_in_a_pause_is_no_loss() -> None:
 def test_a_gap_beside_a_pause_is_a_loss_all_the_same() -> None:
     report = check(paused_recording(*acc(1000, 1002), *acc(1002.5, 1005), *acc(1009, 1020)))
     text = text_of(report, "gaps", "P01-polar_h10-A1-acc")
-    assert text.startswith("1 gap of 0.52 s together, about 25 samples lost")
+    assert text.startswith("1 gap of 0.52 s in total, about 25 samples lost")
     # Longer than the pause by more than its edges.
     report = check(paused_recording(*acc(1000, 1002), *acc(1012, 1020)))
     assert ("gaps", "P01-polar_h10-A1-acc") in codes(report)
@@ -477,7 +477,7 @@ def test_one_of_which_nothing_came_is_red(monkeypatch: pytest.MonkeyPatch) -> No
     other = DeviceIdentity("zephyr", "B", "P01")
     report = judged("P01", strap("P01"), other, events=[heartbeat(polar_h10__A1="paused")])
     assert codes(report, Level.ERROR) == {("away", "")}
-    assert text_of(report, "away").endswith("the whole time, and nothing of it was recorded")
+    assert text_of(report, "away").endswith("the whole time, and none of its data was recorded")
 
 
 WHOLE_EVENTS: list[dict[str, Any]] = [

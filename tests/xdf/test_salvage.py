@@ -184,7 +184,7 @@ def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) ->
     (place,) = outcome.places
     assert (place.begin_s, place.end_s) == (1.5, 9.5)
     assert table(outcome) == [("a", "11", "at least 15")]
-    assert "a: the stamps behind 1 of the damages" in "\n".join(after_table(outcome))
+    assert "a: the time stamps after 1 of the damages" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
@@ -435,14 +435,14 @@ def test_a_lost_header_is_that_of_another_recording(tmp_path: Path) -> None:
     assert caught.value.reason is RecordingReason.EMPTY
     outcome = salvage(path, tmp_path / "with.xdf", other)
     assert rows(tmp_path / "with.xdf")["Belt"] == list(zip(STAMPS, map(tuple, VALUES), strict=True))
-    assert any("that of the other recording" in each for each in after_table(outcome))
+    assert any("is the other recording's" in each for each in after_table(outcome))
 
 
 @pytest.mark.parametrize(
     ("begin", "said"),
     [
         (b"", "it is empty"),
-        (b"\0" * 500, "nothing but zeros"),
+        (b"\0" * 500, "only zeros"),
         (b"0       X X X X", "an EDF file"),
         (b"\xffBIOSEMI", "a BDF file"),
         (b"\n<!DOCTYPE html><html>", "a web page"),
@@ -451,8 +451,8 @@ def test_a_lost_header_is_that_of_another_recording(tmp_path: Path) -> None:
         (b"\x89MCAP0\r\n", "a bag of ROS 2"),
         (b"%PDF-1.7", "a PDF document"),
         (b"time,ECG\r\n0.1,23.5\r\n", "a text, such as a table"),
-        (b"\xef\xbb\xbfXDF:\x01", "saved it as a text"),
-        (b"\x00\x01 something else", "does not begin with 'XDF:'"),
+        (b"\xef\xbb\xbfXDF:\x01", "saved it as text"),
+        (b"\x00\x01 something else", "does not start with 'XDF:'"),
     ],
 )
 def test_a_file_that_is_none_is_said_to_be_what_it_is(

@@ -44,7 +44,7 @@ _log = structlog.get_logger("biosensor_gateway.page")
 
 
 class RecordedMarker(BaseModel):
-    """A marker of a recording, with its seconds since the recording began."""
+    """A marker of a recording, with its seconds since the recording started."""
 
     time_s: float
     text: str

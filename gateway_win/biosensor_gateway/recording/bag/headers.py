@@ -102,7 +102,7 @@ def read_text(text: str) -> RecordedClock | RecordedStream:
             return _clock(content["recording"])
         return _stream(content["stream"])
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError) as error:
-        raise ValueError("it tells of no recording") from error
+        raise ValueError("it does not describe a recording") from error
 
 
 def _clock(content: dict[str, Any]) -> RecordedClock:
@@ -263,7 +263,10 @@ def facts_of_ours(
     else:
         labels, units = tuple(message.labels), tuple(message.units)
         if not 0 < len(labels) == len(units) <= MAX_CHANNELS:
-            text = f"{len(labels)} labels and {len(units)} units are no channels of a stream"
+            text = (
+                f"{len(labels)} labels and {len(units)} units do not describe the channels of a "
+                "stream"
+            )
             raise MessageError(text)
         form = ChannelFormat.INT64 if len(message.integers) else ChannelFormat.DOUBLE64
         form = _FORMATS.get(message_type, form) if message_type else form
@@ -308,7 +311,7 @@ def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
     source_id, form = values["source_id"], ChannelFormat(values["format"])
     labels, units = values["labels"].split(", "), values["units"].split(", ")
     if len(labels) != len(units):
-        raise ValueError("there is not one unit a label")
+        raise ValueError("there is not one unit per label")
     block: dict[str, str] = {}
     if values["foreign"] == "false":
         # The fields of a source_id contain none of these characters.
@@ -335,7 +338,7 @@ def _message_type(raw_type: str, form: ChannelFormat, labels: Sequence[str]) -> 
     if raw_type in known:
         return MessageType(raw_type)
     if form is not ChannelFormat.FLOAT32:
-        raise ValueError(f"no stream of {form} has messages {raw_type}")
+        raise ValueError(f"no {form} stream has messages of type {raw_type}")
     return MessageType.FLOAT32 if len(labels) == 1 else MessageType.FLOAT32_MULTI_ARRAY
 
 

@@ -93,7 +93,9 @@ def import_bag(path: Path, target: Path) -> Imported:
             conversion = _Conversion(file, surveyed)
             conversion.run(path)
             if not conversion.has_samples:
-                raise BagError(BagReason.EMPTY, f"{path} holds nothing that a recording can")
+                raise BagError(
+                    BagReason.EMPTY, f"{path} contains nothing that a recording can hold"
+                )
     except FileExistsError:
         message = f"{target} exists and is not overwritten; name another with --output"
         raise BagError(BagReason.EXISTS, message) from None
@@ -189,7 +191,7 @@ class _Conversion:
                 sink = AnyTopic(topic, self._new_stream_of(name), self._wall.to_lsl)
                 self._sinks[name] = sink
                 for path in sink.texts:
-                    self.left_out[f"{name}.{path}"] = "it is text beside numbers"
+                    self.left_out[f"{name}.{path}"] = "it is text next to numbers"
         except MessageError as error:
             self.left_out[name] = str(error)
 
@@ -266,9 +268,9 @@ class Survey:
             return ""
         more = f" and {len(unlisted) - 1} more" if len(unlisted) > 1 else ""
         return (
-            f"{unlisted[0]}{more}: the node's list of streams is not in the bag, so that names, "
+            f"{unlisted[0]}{more}: the node's list of streams is not in the bag, so names, "
             "types, formats and rates of these streams are guesses, and losses cannot be found; "
-            "record its topic, too: add |.*/streams to the regex of ros2 bag record"
+            "also record its topic: add |.*/streams to the regex of ros2 bag record"
         )
 
     def raw_type(self, stamped: str) -> str:
@@ -325,7 +327,7 @@ def _take(survey: Survey, kinds: _Kinds, message: Message) -> None:
             return
         told = read_text(read.data)
     except (AttributeError, MessageError, ValueError) as error:
-        survey.damages.append(f"{message.topic.name}: a message cannot be understood ({error})")
+        survey.damages.append(f"{message.topic.name}: a message cannot be decoded ({error})")
         return
     if isinstance(told, RecordedClock):
         survey.clock = told

@@ -187,7 +187,9 @@ class _File:
         except _DamagedError as error:
             self._note(f"{self._path}: {error}; what comes before was read")
             return
-        self._note(f"{self._path} has no end: its recorder did not close it; the rest was read")
+        self._note(
+            f"{self._path} has no end: its recorder did not close it; everything before was read"
+        )
 
     def _chunk(self, record: _Record) -> Iterator[Message]:
         try:
@@ -277,15 +279,15 @@ def _unpacked_chunk(content: bytes) -> bytes:
     compression = fields.text()
     packed = content[-length:] if (length := fields.number(8)) else b""
     if size > _MOST_CHUNK_BYTES:
-        raise _DamagedError("it is too large to be true")
+        raise _DamagedError("its size is impossibly large")
     if compression not in _UNPACKING:
-        raise _DamagedError(f"it is compressed by {compression!r}, which is unknown here")
+        raise _DamagedError(f"it is compressed with {compression!r}, which is not supported")
     try:
         unpacked = _UNPACKING[compression](packed, size)
     except MessageError as error:
         raise _DamagedError(str(error)) from error
     if len(unpacked) != size or (checksum and crc32(unpacked) != checksum):
-        raise _DamagedError("its checksum is another")
+        raise _DamagedError("its checksum is wrong")
     return unpacked
 
 
@@ -379,14 +381,16 @@ def bag_files(path: Path) -> list[Path]:
         raise BagError(BagReason.NOT_FOUND, f"there is no file or folder {path}")
     if not path.is_dir():
         if _unpacked_path(path).suffix not in _READERS:
-            message = f"{path} is not a bag: that is a folder, or a file that ends in .mcap or .db3"
+            message = (
+                f"{path} is not a bag: a bag is a folder, or a file that ends in .mcap or .db3"
+            )
             raise BagError(BagReason.NOT_A_BAG, message)
         return [path]
     # A recorder that crashed while compressing a file leaves both; the uncompressed one is used.
     found = {_unpacked_path(each): each for each in sorted(path.iterdir(), reverse=True)}
     files = [each for plain, each in found.items() if plain.suffix in _READERS]
     if not files:
-        raise BagError(BagReason.NOT_A_BAG, f"{path} is a folder without a bag's file")
+        raise BagError(BagReason.NOT_A_BAG, f"{path} is a folder without a bag file")
     return sorted(files, key=lambda each: _place(_unpacked_path(each)))
 
 
@@ -418,7 +422,7 @@ def read_bag(path: Path, note: Note) -> Iterator[Message]:
                 raise
             # The error names the temporary decompressed file, so it is replaced by the file's
             # name.
-            note(f"{file.name}: it cannot be read at all ({error.reason.name.lower()})")
+            note(f"{file.name}: it cannot be read ({error.reason.name.lower()})")
         except OSError as error:
             text = f"cannot read {file}: {error.strerror or error}"
             raise BagError(BagReason.UNREADABLE, text) from error

@@ -263,7 +263,7 @@ class StampedTopic:
             return
         values = read.integers if len(read.integers) else read.data
         if len(values) != len(read.offsets_ns) * self._columns:
-            raise MessageError("it has another number of values than its stream")
+            raise MessageError("its number of values differs from its stream's")
         times = self._to_lsl(begin_ns + read.offsets_ns)
         writer.add(times, values.reshape(-1, self._columns))
 
@@ -350,7 +350,7 @@ class AnyTopic:
 
     def _lay_out(self, message: Any) -> Layout:
         if self._bulk:
-            raise UnsuitableError(f"its field {self._bulk} holds images or the like, no numbers")
+            raise UnsuitableError(f"its field {self._bulk} holds images or the like, not numbers")
         try:
             layout = Layout(self._fields, message)
         except SpecError as error:
@@ -359,7 +359,7 @@ class AnyTopic:
         if is_text and not isinstance(getattr(message, "data", None), str):
             raise UnsuitableError(f"{self._topic.type_name} has no numbers")
         if not is_text and not layout.channels:
-            raise MessageError("its sequences are empty, so that it has no number")
+            raise MessageError("its sequences are empty, so it has no numbers")
         self._layout = layout
         channels = tuple((each.label, each.unit) for each in layout.channels) or (("text", ""),)
         self._writer = self._writers.get(channels)

@@ -139,7 +139,7 @@ class MessageType:
         if name not in self._store.fielddefs:
             raise MessageError(f"the type {name} is unknown, and the bag does not define it")
         if name in within:
-            raise MessageError(f"the type {name} is inside itself")
+            raise MessageError(f"the type {name} contains itself")
         if name in _READ_BY_NAME:
             self._require_fields(name)
         fields: Any = self._store.fielddefs[name][1]
@@ -153,7 +153,7 @@ class MessageType:
         defined = dict(self._store.fielddefs[name][1])
         for field, what in typestore().fielddefs[name][1]:
             if defined.get(field) != what:
-                text = f"its bag defines {name} without the field {field}, or as another type"
+                text = f"the bag defines {name} without the field {field}, or with another type"
                 raise MessageError(text)
 
     def read(self, content: bytes) -> Any:
@@ -167,7 +167,7 @@ class MessageType:
         try:
             return self._store.deserialize_cdr(content, self.name)
         except (SerdeError, IndexError, OverflowError, MemoryError) as error:
-            raise MessageError(f"it is no {self.name}") from error
+            raise MessageError(f"it is not a {self.name}") from error
 
 
 class _Stored:

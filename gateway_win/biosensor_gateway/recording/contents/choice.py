@@ -161,7 +161,7 @@ def _fits(stream: Stream, pattern: str) -> bool:
 
 def _listed(names: set[str]) -> str:
     if not names:
-        return "there is none at all"
+        return "there are none"
     shown = sorted(names)[:_MOST_NAMES]
     rest = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
     return f"there is {', '.join(map(repr, shown))}{rest}"

@@ -138,8 +138,8 @@ def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list
             continue
         found.append(stream.with_rate(true_hz))
         notes.append(
-            f"{stream.header.title}: its header says {nominal_hz:g} Hz; it is taken as "
-            f"{true_hz:.6g} Hz, that of a line through its stamps"
+            f"{stream.header.title}: its header says {nominal_hz:g} Hz; it is treated as "
+            f"{true_hz:.6g} Hz, the rate of a line through its time stamps"
         )
     return tuple(found), notes
 
@@ -188,12 +188,12 @@ def with_rates(
         taken = (
             f"about {rate_hz:.6g} Hz, as --rate says"
             if known
-            else f"{rate_hz:.6g} Hz, that of a line through its stamps"
+            else f"{rate_hz:.6g} Hz, the rate of a line through its time stamps"
         )
-        notes.append(f"{name}: its header names no rate; it is taken as {taken}")
+        notes.append(f"{name}: its header names no rate; it is treated as {taken}")
     without = [each for each in streams if not each.header.is_regular]
     notes += [
-        f"--rate {fit}: no stream without a rate is called that"
+        f"--rate {fit}: no stream without a rate has that name"
         for fit in wanted
         if not any(_fits(each, fit) for each in without)
     ]

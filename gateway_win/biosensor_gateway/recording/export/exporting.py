@@ -188,15 +188,15 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
     wall, clock = chosen.contents.wall, task.clock
     if task.times is Times.EVEN:
         yield (
-            "times of streams with a rate are those of a straight line between two gaps; leave "
-            "out --times even for the recorded ones"
+            "times of streams with a rate are on a straight line between two gaps; leave out "
+            "--times even for the recorded ones"
         )
     if clock is Clock.WALL and wall is not None and wall.doubt:
         yield f"the time of day {wall.doubt}"
     if guessed := [each.header.title for each in chosen.streams if each.is_guessed]:
         yield (
             f"not all of {', '.join(guessed[:3])}{', ...' if len(guessed) > 3 else ''} is UTF-8, "
-            "so characters were guessed, as in Windows"
+            "so characters were guessed from Windows' encoding"
         )
     unmeasured = [each.header.title for each in chosen.streams if not each.clock.is_known]
     if unmeasured:
@@ -209,7 +209,8 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
             yield Missing(
-                f"{each.header.title}: {samples} left out, because their stamps are not numbers"
+                f"{each.header.title}: {samples} left out, because their time stamps are not "
+                "numbers"
             )
         if each.clock.unused:
             yield f"{each.header.title}: {each.clock.unused}"
@@ -258,7 +259,9 @@ def _targets(
     else:
         targets = {key: folder / f"{name}{each.suffix}" for key, each in exporters.items()}
     if len(set(targets.values())) < len(targets):
-        message = f"{' and '.join(targets)} would have the same name; export one after the other"
+        message = (
+            f"{' and '.join(targets)} would have the same name; export them one after the other"
+        )
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     told = [readme_beside(each) for key, each in targets.items() if key in OF_ONE_FILE]
     for target in (*targets.values(), *told):
@@ -284,7 +287,8 @@ def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
     if free < needed:
         message = (
             f"the disk of {folder} has {free / 1e6:.1f} MB left, and this may take up to "
-            f"{math.ceil(needed / 1e6)} MB; make room on it, or choose another place with --output"
+            f"{math.ceil(needed / 1e6)} MB; free some space, or choose another place with "
+            "--output"
         )
         raise RecordingError(RecordingReason.UNWRITABLE, message)
 
@@ -392,7 +396,9 @@ def export_several(
     study = None
     if task.output is not None and "bids" in task.formats:
         if len(task.formats) > 1:
-            message = "a data set holds bids alone; export to other formats by a command of its own"
+            message = (
+                "a data set can only hold bids; export to other formats with a separate command"
+            )
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
         # Brings what writes a data set.
         from biosensor_gateway.recording.export.bids.study import Study  # noqa: PLC0415

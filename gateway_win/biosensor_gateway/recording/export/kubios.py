@@ -44,10 +44,10 @@ _MOST_NAMED = 3
 
 
 _MEANS = """\
-Each file is a text with a number in each line, for Kubios HRV: intervals between heart beats,
-or an ECG, for which Kubios asks the rate.
+Each file is a text with one number per line, for Kubios HRV: intervals between heart beats,
+or an ECG, whose rate Kubios asks for.
 
-Intervals have no times of their own: a part in which beats are missing cannot be seen in them.
+Intervals have no times of their own: missing beats cannot be seen in them.
 """
 
 
@@ -115,7 +115,7 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
     if left_out:
         yield f"{name}: {left_out} samples are not intervals and are left out"
     if missing_s:
-        yield f"{name}: beats of {missing_s:.0f} s in all are missing between the intervals"
+        yield f"{name}: beats are missing between the intervals, {missing_s:.0f} s in total"
 
 
 def _write_ecg(

@@ -52,8 +52,8 @@ _RESISTANCES = {
 
 
 _MEANS = f"""\
-Each file is a text for Ledalab, which imports it as a text of three columns: time in s, skin
-conductance in microsiemens, and the number of the marker that fell on that sample, else 0.
+Each file is a text for Ledalab, which imports it as three columns: time in s, skin
+conductance in microsiemens, and the number of the marker that fell on that sample, or 0.
 
 {CODES}: what the numbers of markers mean.
 """
@@ -213,12 +213,12 @@ class _Told:
             )
         if self.late:
             yield (
-                f"{self.late} of the markers fell where samples are missing, and are placed at the "
-                "next one"
+                f"{self.late} of the markers fell where samples are missing, and are placed at "
+                "the next sample"
             )
         if self.together:
             yield (
-                f"{self.together} markers fall on a sample that has one already, and are left out"
+                f"{self.together} markers fall on a sample that already has one, and are left out"
             )
 
 

@@ -137,8 +137,8 @@ def sentences(outcome: Outcome) -> Iterator[str]:
         yield f"{outcome.path}: {more} more places cannot be read"
     if outcome.mismatch is not None:
         yield (
-            f"{printable(outcome.mismatch.sentence)}: it is written as the sensors say; confirm "
-            "that with --whose sensors, or take the name with --whose name"
+            f"{printable(outcome.mismatch.sentence)}: the sensors' participant is used; confirm "
+            "that with --whose sensors, or use the name's with --whose name"
         )
     yield from map(printable, outcome.clock_notes)
     for each in outcome.written:
@@ -151,7 +151,7 @@ def sentences(outcome: Outcome) -> Iterator[str]:
 
 def _damage_text(damage: Damage) -> str:
     if damage.breaks_off:
-        return f"nothing can be read from byte {damage.start} on ({damage.what})"
+        return f"nothing can be read from byte {damage.start} ({damage.what})"
     return f"bytes {damage.start} to {damage.end} cannot be read ({damage.what})"
 
 

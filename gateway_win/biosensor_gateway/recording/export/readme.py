@@ -17,8 +17,8 @@ _LONG = """\
 One table for all streams: a row for each value of each channel, one stream after the other.
 Columns: its time, who wore the sensor, the stream, the channel, its unit, and the value.
 
-value is a number, empty where a text stands in the next column, text. NaN means that there is no
-value. Where samples are missing, so are their rows.
+value is a number; it is empty where the next column, text, has a text. NaN means that there is
+no value. Where samples are missing, so are their rows.
 
 The file is UTF-8, columns are separated by commas, decimals have a point. In a spreadsheet
 whose decimals are commas, import it as text with a point (in Excel: Data > From Text/CSV).
@@ -28,7 +28,8 @@ OF_ONE_FILE = {"csv-long": _LONG, "csv-long.gz": _LONG}
 _WIDTH = 100
 _MOST_CHANNELS, _MOST_FILES = 12, 4
 _CLOCKS = {
-    Clock.LSL: "on the LSL clock of the recording computer, which began when it was switched on",
+    Clock.LSL: "on the LSL clock of the recording computer, which started when the computer was "
+    "switched on",
     Clock.WALL: "unix time: seconds since the start of 1970, in UTC",
 }
 _TIMES = {
@@ -120,11 +121,11 @@ def _stream_text(stream: Stream) -> str:
 def _times(chosen: Chosen, options: ExportOptions) -> Iterator[str]:
     line = timeline(chosen, options.clock)
     clock = _CLOCKS[options.clock]
-    yield f"All times are in seconds. Where no other zero is said they are {clock}."
+    yield f"All times are in seconds. Unless stated otherwise, they are {clock}."
     date = line.described()["TimeZero"]
     begin = f"{line.begin_s:.6f}"
     if isinstance(date, dict) and "Date" in date:
-        yield f"The recording begins at {begin}, which is {date['Date']}."
+        yield f"The recording starts at {begin}, which is {date['Date']}."
     else:
-        yield f"The recording begins at {begin}."
+        yield f"The recording starts at {begin}."
     yield _TIMES[options.times]

@@ -89,8 +89,9 @@ class RemoteControl:
             # A host name with empty or overlong parts raises an error before the lookup.
             why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             message = (
-                f"LabRecorder's remote control does not answer at {self.host}:{self.port} ({why}); "
-                "start LabRecorder there, tick 'EnableRCS', and let TCP through its firewall"
+                f"LabRecorder's remote control does not answer at {self.host}:{self.port} "
+                f"({why}); start LabRecorder there, tick 'EnableRCS', and allow TCP in its "
+                "firewall"
             )
             raise RecorderError(RecorderReason.UNREACHABLE, message) from error
         return self
@@ -119,18 +120,18 @@ class RemoteControl:
             reply = self._connection.recv(_REPLY_BYTES).decode("utf-8", "replace").strip()
         except TimeoutError:
             message = (
-                f"{where} does not answer to {word!r} within {time_limit_s:g} s; look at its "
-                "window: a message there may wait for a click"
+                f"{where} does not answer {word!r} within {time_limit_s:g} s; look at its "
+                "window: a message there may be waiting for a click"
             )
             raise RecorderError(RecorderReason.NO_REPLY, message) from None
         except OSError as error:
-            message = f"{where} went away at {word!r} ({error.strerror or error}); start it again"
+            message = f"{where} disappeared at {word!r} ({error.strerror or error}); start it again"
             raise RecorderError(RecorderReason.UNREACHABLE, message) from error
         if not reply:
-            message = f"{where} went away at {word!r}; start it again"
+            message = f"{where} disappeared at {word!r}; start it again"
             raise RecorderError(RecorderReason.UNREACHABLE, message)
         if reply != _OK:
-            message = f"{where} answers {reply!r} to {word!r}; is it LabRecorder at all?"
+            message = f"{where} answers {reply!r} to {word!r}; is it really LabRecorder?"
             raise RecorderError(RecorderReason.REFUSED, message)
 
 
@@ -179,9 +180,9 @@ class LabRecorder:
         if target.folder is None:
             file = None
             warnings.append(
-                f"LabRecorder runs on another computer ({self._host}), and its answer says "
-                "nothing: look at its window whether it records, or give --folder, a folder that "
-                "both computers see"
+                f"LabRecorder runs on another computer ({self._host}), and its answer does not "
+                "tell: check in its window whether it is recording, or give --folder, a folder "
+                "that both computers can reach"
             )
         else:
             file = _require_growth(target, before, request.growth_s)
@@ -270,7 +271,7 @@ class LabRecorder:
             return Stopped(by=By.WINDOW, verified=False, file=None, verdict=None, warnings=warnings)
         seen = wait_until_closed(file, STILL_S, CLOSING_S)
         if seen is None:
-            message = f"{file} still grows {CLOSING_S:g} s after LabRecorder was asked to stop"
+            message = f"{file} is still growing {CLOSING_S:g} s after LabRecorder was asked to stop"
             raise RecorderError(RecorderReason.STILL_GROWING, message)
         if not seen.is_closed:
             raise RecorderError(RecorderReason.NOT_CLOSED, _not_closed(file, seen))
@@ -284,7 +285,7 @@ class LabRecorder:
             with_samples=len(seen.with_samples),
             took_s=time.monotonic() - begun,
             verdict=None,
-            warnings=(f"{file} had been closed before",) if was_closed else (),
+            warnings=(f"{file} was already closed",) if was_closed else (),
         )
 
     def _require_idle(self) -> None:
@@ -294,8 +295,8 @@ class LabRecorder:
         file = Path(last.file)
         if not summarize(file).is_closed and grows(file, GROWS_S):
             message = (
-                f"LabRecorder is recording already, to {file}; end that with: "
-                "biosensor-gateway record stop"
+                f"LabRecorder is already recording, to {file}; end that with: biosensor-gateway "
+                "record stop"
             )
             raise RecorderError(RecorderReason.RECORDING, message)
 
@@ -307,8 +308,8 @@ def _require_free(target: Target) -> None:
     for file in target.files:
         if file.exists():
             message = (
-                f"{file} is there already, and LabRecorder would rename it; choose another name "
-                "or run"
+                f"{file} already exists, and LabRecorder would rename it; choose another name or "
+                "run"
             )
             raise RecorderError(RecorderReason.EXISTS, message)
 
@@ -318,8 +319,8 @@ def _warnings(presence: Presence, request: RecordingRequest) -> Iterator[str]:
     yield from doubles(presence)
     if presence.foreign and not request.all_streams:
         yield (
-            "started by remote control, LabRecorder records every stream that it sees; these are "
-            f"not of this agent: {titles(presence.foreign)}"
+            "started by remote control, LabRecorder records every stream that it sees; these do "
+            f"not belong to this agent: {titles(presence.foreign)}"
         )
 
 
@@ -333,19 +334,19 @@ def _require_growth(target: Target, before: Mapping[Path, int], limit_s: float) 
 def _no_growth(target: Target, limit_s: float) -> str:
     where = target.files[0] if target.files else f"a recording in {target.folder}"
     found = any(sizes(target)) if target.files else False
-    what = "is there, but no samples were written to it" if found else "did not appear and grow"
+    what = "exists, but no samples were written to it" if found else "did not appear and grow"
     return (
-        f"{where} {what} within {limit_s:g} s, whatever LabRecorder answers. It may be recording "
-        "something else already, may not be allowed to write there, or see no streams: look at "
-        "its window. Slow streams need longer: --timeout"
+        f"{where} {what} within {limit_s:g} s, although LabRecorder answers. It may already be "
+        "recording something else, may not have permission to write there, or may see no "
+        "streams: look at its window. Slow streams need longer: --timeout"
     )
 
 
 def _unknown(remote: RemoteControl) -> str:
     where = "on this computer" if remote.is_local else f"on another computer ({remote.host})"
     return (
-        f"LabRecorder runs {where}, its answer says nothing, and which file it wrote is not known "
-        "here: look at its window whether it stopped, or name the file with --file"
+        f"LabRecorder runs {where}, its answer does not tell, and it is not known here which "
+        "file it wrote: check in its window whether it stopped, or name the file with --file"
     )
 
 
@@ -367,7 +368,7 @@ def _not_closed(file: Path, seen: FileSummary) -> str:
 def _require_no_others(presence: Presence, request: RecordingRequest) -> None:
     if presence.foreign and request.only_ours:
         message = (
-            "LabRecorder records every stream that it sees, and these are not of this agent: "
-            f"{titles(presence.foreign)}; end them, or leave out --only-ours"
+            "LabRecorder records every stream that it sees, and these do not belong to this "
+            f"agent: {titles(presence.foreign)}; end them, or leave out --only-ours"
         )
         raise RecorderError(RecorderReason.FOREIGN_STREAMS, message)

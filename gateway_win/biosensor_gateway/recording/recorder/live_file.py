@@ -126,7 +126,7 @@ class GrowingFile:
             if self._rest.startswith(MAGIC):
                 self._rest = self._rest[len(MAGIC) :]
             else:
-                self._lose(0, "it does not begin as a recording does")
+                self._lose(0, "it does not start like a recording")
         position = self._find_again(0) if self._is_lost else 0
         while (end := self._next(position)) is not None:
             position = end
@@ -140,7 +140,7 @@ class GrowingFile:
         if frame is None:
             return None  # nothing is dropped: its head comes with the next read
         if not frame.is_known or frame.end - position > MOST_CHUNK_BYTES:
-            return self._lose(position, "no chunk begins there")
+            return self._lose(position, "no chunk starts there")
         if frame.end > len(self._rest):
             return None  # nothing is dropped: the rest comes with the next read
         try:
@@ -720,7 +720,7 @@ class Growth:
         still_s = self._clock() - self._grew_at
         if not self._is_closed and still_s > self._longest_rest_s:
             text = (
-                f"the file has not grown for {still_s:.0f} s: nothing is recorded any more, or its "
+                f"the file has not grown for {still_s:.0f} s: nothing is being recorded, or its "
                 "disk is full"
             )
             yield Finding(Level.ERROR, "still", "", text)
@@ -743,8 +743,8 @@ class Growth:
         limit_s = self._longest_age_s(stream)
         age_s = self._length_s if stream.age_s is None else stream.age_s
         if stream.nominal_hz and age_s > limit_s:
-            since = "since the recording began" if not stream.samples else f"for {age_s:.0f} s"
-            text = f"nothing of it was recorded {since}, while other streams continue"
+            since = "since the recording started" if not stream.samples else f"for {age_s:.0f} s"
+            text = f"none of its data was recorded {since}, while other streams continue"
             yield Finding(Level.ERROR, "stopped", stream.name, text)
             return  # nothing is dropped: that it has stopped is told
         unmeasured_s = self._length_s if stream.offset_age_s is None else stream.offset_age_s
@@ -761,7 +761,7 @@ class Growth:
         names = [each.name for each in due if self._length_s <= self._longest_age_s(each)]
         if names:
             more = f" and {len(names) - _MOST_NAMED} more" * (len(names) > _MOST_NAMED)
-            text = f"nothing was recorded yet of {', '.join(names[:_MOST_NAMED])}{more}"
+            text = f"nothing recorded yet from {', '.join(names[:_MOST_NAMED])}{more}"
             yield Finding(Level.WARNING, "not-begun", "", text)
 
     def _longest_age_s(self, stream: StreamProgress) -> float:

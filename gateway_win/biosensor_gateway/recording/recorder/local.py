@@ -250,7 +250,8 @@ class LocalRecorder:
         expected = [ExpectedStream(each, each) for each in saved.required]
         if seen is None:
             message = (
-                f"{file} still grows, though its recorder has ended; record stop --file looks again"
+                f"{file} is still growing, although its recorder has ended; record stop --file "
+                "checks it again"
             )
             raise RecorderError(RecorderReason.NOT_CLOSED, message)
         if not seen.is_closed:
@@ -259,8 +260,8 @@ class LocalRecorder:
                 verdict = check(file, expected, saved.without, output.notes)
             why = _why_not_closed(saved, seen)
             message = (
-                f"{file}: {why}. Look at it with: biosensor-gateway xdf check. The last that "
-                f"{saved.recorder} said: {output.end}"
+                f"{file}: {why}. Check it with: biosensor-gateway xdf check. The last output of "
+                f"{saved.recorder}: {output.end}"
             )
             raise NotClosedError(message, why, verdict)
         took_s = time.monotonic() - begun
@@ -287,7 +288,7 @@ class LocalRecorder:
             return ""
         if ended:
             # By its service, or by the shutdown of the computer.
-            return "the recording was ended from outside; see its verdict: record stop"
+            return "the recording was ended from outside this program; see its verdict: record stop"
         return "the recording's supervisor was killed, and the recording ended with it"
 
 
@@ -429,14 +430,14 @@ class _Starter:
 
 def not_recording() -> RecorderError:
     """Return the error for a missing recording."""
-    message = "nothing is being recorded here; begin with: biosensor-gateway record start"
+    message = "nothing is being recorded here; start with: biosensor-gateway record start"
     return RecorderError(RecorderReason.NOT_RECORDING, message)
 
 
 def _recording(folder: RecorderFolder) -> RecorderError:
     saved = folder.saved()
     where = f", to {saved.file}" if saved is not None else ""
-    message = f"this computer is recording already{where}; end that with: record stop"
+    message = f"this computer is already recording{where}; end that with: record stop"
     return RecorderError(RecorderReason.RECORDING, message)
 
 
@@ -464,14 +465,16 @@ def take_file(files: Iterator[Path]) -> Path:
             message = f"{file} cannot be written ({error.strerror or error}); choose another folder"
             raise RecorderError(RecorderReason.UNWRITABLE, message) from error
         return file
-    message = f"{first} is there already; choose another name or run"
+    message = f"{first} already exists; choose another name or run"
     raise RecorderError(RecorderReason.EXISTS, message)
 
 
 def _require_space(file: Path) -> None:
     free = shutil.disk_usage(file.parent).free
     if free < _LEAST_FREE_BYTES:
-        message = f"the disk of {file.parent} is full ({free / 1e6:.1f} MB left); make room on it"
+        message = (
+            f"the disk of {file.parent} is full ({free / 1e6:.1f} MB left); free some space on it"
+        )
         raise RecorderError(RecorderReason.UNWRITABLE, message)
 
 
@@ -485,14 +488,16 @@ def _release(file: Path) -> None:
 
 def _missed(streams: Sequence[VisibleStream]) -> Iterator[str]:
     if streams:
-        yield f"these cannot be found or opened, and so are not recorded: {titles(streams)}"
+        yield (
+            f"these streams cannot be found or opened, so they are not recorded: {titles(streams)}"
+        )
 
 
 def _foreign(request: RecordingRequest, streams: Sequence[VisibleStream]) -> Iterator[str]:
     if streams and not request.all_streams:
         yield (
-            "every stream is recorded, and these are not of this agent (--only-ours leaves them "
-            f"out): {titles(streams)}"
+            "every stream is recorded, and these do not belong to this agent (--only-ours "
+            f"leaves them out): {titles(streams)}"
         )
 
 
@@ -530,4 +535,8 @@ def _why_not_closed(saved: SavedRecording, seen: FileSummary) -> str:
 def _warnings(saved: SavedRecording) -> list[str]:
     if saved.problem:
         return [saved.problem]
-    return [] if saved.ended else ["the recording's supervisor was killed, so it had ended before"]
+    return (
+        []
+        if saved.ended
+        else ["the recording had already ended, because its supervisor was killed"]
+    )

@@ -117,7 +117,7 @@ def find_programs(folder: Path) -> tuple[dict[str, tuple[str, ...]], list[str]]:
     if ansi_folder(folder) is None:
         message = (
             f"{LAB_RECORDER} cannot read the LSL session and peers in {folder}, whose name has "
-            "letters that this Windows' code page lacks"
+            "letters that are not in this computer's Windows code page"
         )
         return own, [message]
     return {LAB_RECORDER: (str(program),), **own}, []
@@ -136,8 +136,8 @@ def find_program() -> Path:
         if program.is_file():
             return program.absolute()
     message = (
-        "LabRecorder's program is not there: it comes along for Windows, for Linux on x86-64 and "
-        "ARM, and for macOS on ARM only"
+        "LabRecorder's program is missing: it is included only for Windows, for Linux on x86-64 "
+        "and ARM, and for macOS on ARM"
     )
     raise RecorderError(RecorderReason.NO_PROGRAM, message)
 

@@ -354,7 +354,7 @@ class _Recorder:
         while self._renewed:
             again = ReceivedStream(next(self._numbers), self._renewed.pop(), self._write)
             self._streams.append(again)
-            what = "has other channels than before, and is recorded as another stream"
+            what = "has different channels now, and is recorded as another stream"
             _note(f"{again.title} {what}")
         absent = [each for each in self._streams if not each.is_open and each not in self._opening]
         infos = network.streams() if absent else []
@@ -409,7 +409,7 @@ class _Recorder:
                 each.begin()
                 # nothing is dropped: it is received from its outlet's buffer
                 _say(f"Started data collection for stream {each.title}, later than others")
-                _note(f"{each.title} is recorded only from {time.strftime('%H:%M:%S')} on")
+                _note(f"{each.title} is recorded only from {time.strftime('%H:%M:%S')}")
             if (gone := each.take()) is not None:
                 tell = _note if gone else _say
                 tell(f"{each.title} has ended; {gone} of its samples were not received")

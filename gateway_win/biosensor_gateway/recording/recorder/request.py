@@ -233,7 +233,7 @@ def local_files(request: RecordingRequest) -> Iterator[Path]:
     target = choose_target(request, is_local=True)
     labels, folder = request.labels, target.folder
     if folder is None:
-        raise AssertionError("a request of this computer has a folder")
+        raise AssertionError("a request on this computer needs a folder")
     if request.file is not None:
         # In its original case: only LabRecorder's window converts it to lower case.
         return iter([_speakable(target.files[-1])])
@@ -274,8 +274,8 @@ def _require_sense(request: RecordingRequest, *, is_local: bool) -> None:
         )
     if is_local and file is None and request.folder is None:
         raise _wrong(
-            "say where to record, so that it can be checked: --file FILE, or "
-            "--folder FOLDER, best with --participant"
+            "give the place to record to, so that it can be checked: --file FILE, or --folder "
+            "FOLDER, preferably with --participant"
         )
 
 
@@ -292,8 +292,8 @@ def _speakable(file: Path) -> Path:
     # The program runs in the file's folder, so only the file name must be ASCII.
     if sys.platform == "win32" and not file.name.isascii():
         raise _wrong(
-            f"--file {file.name}: on Windows LabRecorder's program takes names of English letters "
-            "only; the folder may have any"
+            f"--file {file.name}: on Windows, LabRecorder's program accepts only English letters "
+            "in names; the folder may have any"
         )
     return file
 
@@ -363,8 +363,8 @@ class SensorsAwayError(RecorderError):
 
     def __init__(self, sentences: Sequence[str]) -> None:
         message = (
-            f"{'; '.join(sentences)}. Wait for that with: biosensor-gateway wait-ready, or record "
-            "without it with --allow-missing"
+            f"{'; '.join(sentences)}. Wait for that with: biosensor-gateway wait-ready, or "
+            "record without it using --allow-missing"
         )
         super().__init__(RecorderReason.STREAMS_MISSING, message)
         self.sentences = tuple(sentences)

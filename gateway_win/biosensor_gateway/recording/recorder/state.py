@@ -233,7 +233,7 @@ class WindowRecording:
             state_file.replace(state / WINDOW_FILE, json.dumps(asdict(self)))
         except OSError as error:
             return (
-                f"{state / WINDOW_FILE} cannot be written ({error.strerror or error}): tell "
+                f"{state / WINDOW_FILE} cannot be written ({error.strerror or error}): give "
                 "`record stop` the file with --file"
             )
         return ""

@@ -222,17 +222,17 @@ def require_startable(
     if presence.away and not request.without_away:
         raise SensorsAwayError(presence.away)
     if not wanted:
-        whose = "of this agent " if presence.visible else ""
+        whose = "of this agent" if presence.visible else ""
         message = (
-            f"this computer sees no LSL stream {whose}at all, so there is nothing to record; "
-            "start an agent with: biosensor-gateway run"
+            f"this computer sees no LSL stream {whose}, so there is nothing to record; start an "
+            "agent with: biosensor-gateway run"
         )
         raise RecorderError(RecorderReason.STREAMS_MISSING, message)
     if presence.missing and not request.allow_missing:
         message = (
-            f"streams are missing, and what is not there at the start is not recorded: "
-            f"{'; '.join(presence.missing)}. Wait for them with: biosensor-gateway wait-ready, or "
-            "do without with --allow-missing"
+            "streams are missing, and streams that are absent at the start are not recorded: "
+            f"{'; '.join(presence.missing)}. Wait for them with: biosensor-gateway wait-ready, "
+            "or record without them using --allow-missing"
         )
         raise RecorderError(RecorderReason.STREAMS_MISSING, message)
     mismatch = compare(request.participant, presence.worn)
@@ -252,9 +252,9 @@ def doubles(presence: Presence) -> Iterator[str]:
     twice = [each for each, count in ours.items() if count > 1 and each.source_id]
     if twice:
         yield (
-            f"there are two streams each of {titles(twice)}: another agent uses the same names, "
-            "and its data may be another person's; end it, or give its sensors another "
-            "participant, and record again"
+            f"{titles(twice)} exist twice each: another agent uses the same names, and its data "
+            "may be another person's; end it, or give its sensors another participant, and "
+            "record again"
         )
 
 
@@ -290,7 +290,7 @@ def away_findings(
         The source_ids of sensors that were away at the start, of which the user knew.
     """
     if devices is None:
-        text = "the agent does not run, so nothing of its sensors is recorded"
+        text = "the agent is not running, so none of its sensors' data is recorded"
         yield Finding(Level.ERROR, "no-agent", "", text)
         return  # nothing is dropped: that no agent runs is told
     for each in absences(devices):
@@ -301,8 +301,8 @@ def away_findings(
         sends = sources and is_sending(device["state"], paused=device["paused"])
         if sends and recorded and not sources & set(recorded):
             text = (
-                f"{name} streams, and is not in the file: it was not there under this name when "
-                "the recording began; stop it and record again"
+                f"{name} is streaming, but is not in the file: it did not exist under this name "
+                "when the recording started; stop it and record again"
             )
             yield Finding(Level.ERROR, "left-out", "", text)
 

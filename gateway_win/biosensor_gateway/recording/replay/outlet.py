@@ -165,7 +165,9 @@ class PlayedOutlet:
 
     def __init__(self, header: RecordedHeader, source_id: str, replay: Replay) -> None:
         if header.format is ChannelFormat.INT64 and sys.platform == "win32":
-            message = f"pylsl cannot send int64 on Windows; leave {header.title!r} out by --streams"
+            message = (
+                f"pylsl cannot send int64 on Windows; leave {header.title!r} out with --streams"
+            )
             raise ReplayError(ReplayReason.NO_OUTLET, message)
         self.tap: Tap | None = None
         try:

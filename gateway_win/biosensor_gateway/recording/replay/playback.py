@@ -46,9 +46,9 @@ def elsewhere(lsl: LslOverrides) -> Iterator[str]:
         return
     if status_file.other_session(status, lsl):
         yield (
-            f"it is played in the LSL session {api_file.session(api_file.config_here(lsl))} of the "
-            f"settings, while the agent sends in {status['session']}: programs of that session do "
-            "not receive it"
+            f"it is played in the LSL session {api_file.session(api_file.config_here(lsl))} of "
+            f"the settings, but the agent sends in {status['session']}: programs in that session "
+            "do not receive it"
         )
 
 
@@ -139,10 +139,10 @@ def refuse_if_present(
 
 _SENTENCES: Mapping[ReplayReason, str] = {
     ReplayReason.LIVE: (
-        "the real stream {name} is on the network, from {host}, and whoever receives it could "
-        "take the replay of {file} for it; end it first, or {allowed_by}"
+        "the real stream {name} is on the network, from {host}, and its receivers could mistake "
+        "the replay of {file} for it; end it first, or {allowed_by}"
     ),
-    ReplayReason.PLAYED: "{file} is being played already, by {host}; end that replay first",
+    ReplayReason.PLAYED: "{file} is already being played, by {host}; end that replay first",
 }
 _MOST_DAMAGES = 3
 
@@ -176,8 +176,9 @@ def left_out(player: Player) -> Iterator[str]:
             yield f"warning: {name}: {each.part_error}; those samples are not played"
         elif each.steps_far_back:
             yield (
-                f"warning: {name}: its time steps back {_times(each.steps_far_back)}; what follows "
-                "is sent at once, until the time before is reached again"
+                f"warning: {name}: its time steps back {_times(each.steps_far_back)}; the "
+                "following samples are sent immediately, until the earlier time is reached "
+                "again"
             )
         if not name:
             yield f"warning: a stream without a name is played as {NAMELESS!r}"

@@ -182,12 +182,12 @@ class _Looking:
         seen = recordings.look(path, self._person, self._pieces)
         if self._person.is_in(path.name):
             if seen.others:
-                why = f"it is called after the person, and {listed(seen.others)} wear its sensors"
+                why = f"it is named after the person, but {listed(seen.others)} wear its sensors"
                 return Step(path, Action.LOOK, f"{why}; rename it first, or delete it yourself")
             recordings.take_pieces_of_all(path, self._pieces)
             return Step(path, Action.DELETE, "a recording of this person alone")
         if seen.own and not seen.others and not seen.unnamed:
-            return Step(path, Action.DELETE, "all sensors of it were worn by this person")
+            return Step(path, Action.DELETE, "all its sensors were worn by this person")
         if not seen.own and not seen.texts:
             alike = [each for each in seen.others if self._person.has_label(each)]
             why = f"{listed(alike)} may be the same person: withdraw that, too, if it is"
@@ -195,17 +195,17 @@ class _Looking:
         what: list[str] = []
         if seen.own:
             streams = "1 stream" if len(seen.own) == 1 else f"{len(seen.own)} streams"
-            what.append(f"without {streams} of the person")
+            what.append(f"without the person's {streams}")
         if seen.texts:
             what.append(f"without the name in {listed(seen.texts)}")
         if seen.damages:
-            what.append("and without what cannot be read of it")
+            what.append("and without its unreadable parts")
         return Step(path, Action.REWRITE, ", ".join(what))
 
     def _named(self, path: Path) -> Step:
         if path.suffix.lower() in _EXPORTED:
-            return Step(path, Action.DELETE, "it is called after the person")
-        return Step(path, Action.LOOK, "it is called after the person, and is of no known kind")
+            return Step(path, Action.DELETE, "it is named after the person")
+        return Step(path, Action.LOOK, "it is named after the person, but its format is not known")
 
     def _of_text(self, path: Path) -> Step | None:
         if is_utf16(path):
@@ -217,7 +217,7 @@ class _Looking:
         if not lines:
             return None
         if path.suffix == ".json":
-            return Step(path, Action.REWRITE, "without what it says of the person")
+            return Step(path, Action.REWRITE, "without its information about the person")
         told = "1 line that names" if lines == 1 else f"{lines} lines that name"
         return Step(path, Action.REWRITE, f"without {told} the person")
 
@@ -225,7 +225,7 @@ class _Looking:
         told = sum(self._person.is_in_bytes(each) for each in texts_of_edf(path))
         if not told:
             return None
-        return Step(path, Action.REWRITE, "with other letters in place of the person's name")
+        return Step(path, Action.REWRITE, "with the person's name replaced by other letters")
 
     def _of_bag(self, path: Path) -> Step | None:
         if self._person.owns_label and self._is_theirs(path):
@@ -238,8 +238,8 @@ class _Looking:
         if not own:
             return None
         if not others:
-            return Step(path, Action.DELETE, "all topics of it are of this person")
-        return Step(path, Action.REWRITE, f"without {len(own)} topics of the person")
+            return Step(path, Action.DELETE, "all its topics are this person's")
+        return Step(path, Action.REWRITE, f"without {len(own)} of the person's topics")
 
 
 @dataclass(frozen=True, slots=True)
@@ -413,7 +413,7 @@ def _found(path: Path, person: Person, pieces: Pieces) -> Iterator[str]:
         if any(pieces.in_bytes(block) for block in blocks(_content(path), overlap)):
             yield "data of the person"
     except (OSError, EOFError, ValueError, RecordingError, BagError) as error:
-        yield f"not known, for it cannot be read: {error}"
+        yield f"not known, because it cannot be read: {error}"
 
 
 def _is_named(path: Path, person: Person) -> bool:

@@ -88,13 +88,13 @@ def read_frame(file: BinaryIO, position: int) -> Frame:
     file.seek(position)
     head = file.read(_LONGEST_HEAD)
     if not head or (length_size := head[0]) not in _LENGTH_SIZES:
-        raise FrameError("no chunk begins there")
+        raise FrameError("no chunk starts there")
     tag_start = 1 + length_size
     if len(head) < tag_start + _TAG_BYTES:
         raise FrameError("a chunk is cut off")
     length = int.from_bytes(head[1:tag_start], "little")
     if length < _TAG_BYTES:
-        raise FrameError("a chunk of impossible length begins there")
+        raise FrameError("a chunk of impossible length starts there")
     tag = int.from_bytes(head[tag_start : tag_start + _TAG_BYTES], "little")
     start = position + tag_start
     return Frame(tag, start + _TAG_BYTES, start + length)
@@ -273,10 +273,10 @@ _HEAD_BYTES = 64
 _OTHERS = (
     (b"0       ", "it is an EDF file"),
     (b"\xffBIOSEMI", "it is a BDF file"),
-    (b"<!DOCTYPE", "it is a web page, which was downloaded in its place"),
-    (b"<!doctype", "it is a web page, which was downloaded in its place"),
-    (b"<HTML", "it is a web page, which was downloaded in its place"),
-    (b"<html", "it is a web page, which was downloaded in its place"),
+    (b"<!DOCTYPE", "it is a web page that was downloaded instead of the file"),
+    (b"<!doctype", "it is a web page that was downloaded instead of the file"),
+    (b"<HTML", "it is a web page that was downloaded instead of the file"),
+    (b"<html", "it is a web page that was downloaded instead of the file"),
     (b"version https://git-lfs", "it is a pointer of Git LFS; fetch the file with: git lfs pull"),
     (b"#ROSBAG V", "it is a bag of ROS 1; convert it with rosbags-convert, then: bag import"),
     (b"\x89MCAP0", "it is a bag of ROS 2; read it with: biosensor-gateway bag import"),
@@ -333,14 +333,14 @@ def _what_it_is(head: bytes) -> str:
     if not head:
         return "it is empty"
     if not head.strip(b"\0"):
-        return "it holds nothing but zeros, as after a crash of the computer; try a backup"
+        return "it contains only zeros, as after a crash of the computer; try a backup"
     # A page may begin with a byte order mark and empty lines.
     bare = head.lstrip(b"\xef\xbb\xbf\r\n ")
     if bare.startswith(MAGIC):
-        return "a program has saved it as a text, which damages its data; use the original file"
+        return "a program has saved it as text, which damages its data; use the original file"
     known = (what for begin, what in _OTHERS if bare.startswith(begin))
     is_text = bare.isascii() and bare.decode("ascii").translate(_LINE_ENDS).isprintable()
-    return next(known, _TEXT if is_text else "it does not begin with 'XDF:'")
+    return next(known, _TEXT if is_text else "it does not start with 'XDF:'")
 
 
 def _unpack(packed: BinaryIO, target: BinaryIO) -> bool:
@@ -474,7 +474,7 @@ class _Reader:
         length = frame.end - position
         is_doubtful = length > _UNDOUBTED_BYTES and not is_frame(self._file, frame.end, self._size)
         if length > MAX_CHUNK_BYTES or is_doubtful:
-            raise ChunkError("it is too large to be true")
+            raise ChunkError("its size is impossibly large")
 
 
 def _damage(start: int, end: int, size: int, what: str) -> Damage:

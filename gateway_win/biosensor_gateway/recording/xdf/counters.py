@@ -29,8 +29,8 @@ _SAME_STAMP_S = 1e-6
 NEAR_S = 1e-4
 STRANGE_READINGS = 4
 STRANGE_SAMPLES = (
-    "its samples are not those that its agent counted: the recorder went on with a stream of "
-    "another agent with the same source_id, whose data may be another person's"
+    "its samples are not those that its agent counted: the recorder continued with another "
+    "agent's stream with the same source_id, whose data may be another person's"
 )
 
 
@@ -137,7 +137,7 @@ def _entries(text: str) -> dict[str, Reading]:
         for source_id, entry in content.items()
     }
     if not all(np.isfinite(reading.last_stamp) for reading in entries.values()):
-        raise ValueError("a stamp is not a number")
+        raise ValueError("a time stamp is not a number")
     return entries
 
 

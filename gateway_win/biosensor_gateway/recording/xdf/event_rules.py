@@ -23,8 +23,8 @@ from biosensor_gateway.streaming.events import EventKind
 PAUSED, _NOT_CONNECTED = "paused", "not connected"
 _LINK = {EventKind.CONNECTED: "", EventKind.DISCONNECTED: _NOT_CONNECTED}
 OF_ANOTHER_AGENT = (
-    "it is of another agent, which runs at the same time with the same source_id, as in another "
-    "LSL session: data from then on may be another person's"
+    "it belongs to another agent, which runs at the same time with the same source_id, as in "
+    "another LSL session: data from then on may be another person's"
 )
 _MOST_SPELLS = 3
 _EDGE_S = 3.0
@@ -121,7 +121,7 @@ def pauses_told(
         paused = [each for each in spells if each.how == PAUSED]
         if paused:
             said = _spells_text(paused, lambda at: at - begin_s)
-            yield f"{_named(device)} was {said}: what is missing then was not sent, and is not lost"
+            yield f"{_named(device)} was {said}: data missing then was not sent, and is not lost"
 
 
 def other_agent_told(texts: Sequence[str], begin_s: float) -> str:
@@ -157,11 +157,11 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
             continue
         if not CONNECTED & states.keys():
             how = ", ".join(STATE_WORDS.get(each, each) for each in states)
-            text = f"{device} was never available ({how}), so nothing of it was recorded"
+            text = f"{device} was never available ({how}), so none of its data was recorded"
             yield Finding(Level.WARNING, "absent", "", text)
         elif not is_counted:
             # Otherwise each missing stream is reported by name.
-            text = f"the agent also had {device}, of which nothing was recorded"
+            text = f"the agent also had {device}, from which nothing was recorded"
             yield Finding(Level.ERROR, "left-out", "", text)
 
 
@@ -178,7 +178,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
     for identity, at in (EventLog.of(events.stream.texts, recorded).gone | ended).items():
         text = (
             f"{_named(identity)} was removed or renamed in the settings at "
-            f"{extent.since_begin(at, events):.1f} s, and nothing of it was recorded since"
+            f"{extent.since_begin(at, events):.1f} s, and none of its data was recorded since"
         )
         yield Finding(Level.ERROR, "removed", "", text)
 
@@ -199,7 +199,7 @@ def _away(
             text = f"{named} was {said}, and was left out on purpose: it is not in the recording"
             yield Finding(Level.WARNING, "away", "", text)
         else:
-            text = f"{named} was {said}, and nothing of it was recorded"
+            text = f"{named} was {said}, and none of its data was recorded"
             yield Finding(Level.ERROR, "away", "", text)
 
 
@@ -215,9 +215,10 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
                 f"by {size:+.3f} s at {extent.since_begin(at, events):.1f} s"
                 for at, size in list(known.items())[:_MOST_SPELLS]
             )
-            more = f" and {times - _MOST_SPELLS} times more" if times > _MOST_SPELLS else ""
+            more = f" and {times - _MOST_SPELLS} more times" if times > _MOST_SPELLS else ""
             text = (
-                f"the stamps of {_named(device)} jumped {said}{more}: those just before were wrong"
+                f"the time stamps of {_named(device)} jumped {said}{more}: those just before "
+                "were wrong"
             )
             yield Finding(Level.WARNING, "clock-jumped", "", text)
 
@@ -350,7 +351,7 @@ class EventLog:
         Parameters
         ----------
         recorded
-            Devices of this agent that are recorded.
+            Devices of this agentthat are recorded.
         """
         for event in _events(texts):
             self._first_s = _time(event) if self._first_s is None else self._first_s

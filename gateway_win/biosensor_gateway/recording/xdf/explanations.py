@@ -23,9 +23,8 @@ class Explanation(NamedTuple):
 EXPLANATIONS: Mapping[str, Explanation] = {
     "no-rate": Explanation(
         "A signal whose header names no rate",
-        "Nothing is wrong with its samples; programs that ask the header take it for irregular.",
-        "Nothing; what is exported takes the rate that is said. If you know a better one, export "
-        "with `--rate`.",
+        "Nothing is wrong with its samples; programs that use the header treat it as irregular.",
+        "Nothing; exports use the stated rate. If you know a better one, export with `--rate`.",
     ),
     "damaged": Explanation(
         "Part of the file cannot be read",
@@ -37,8 +36,8 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "A chunk of unknown kind",
         "The recorder wrote something that the format does not define, so no program can show"
         " it. All samples around it were read.",
-        "Nothing, unless the counts of the footers differ, too. Then a chunk of samples is "
-        "damaged, and `xdf salvage` leaves it out.",
+        "Nothing, unless the footers' counts also differ. Then a chunk of samples is damaged, "
+        "and `xdf salvage` leaves it out.",
     ),
     "no-header": Explanation(
         "Samples without a header",
@@ -46,10 +45,10 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Run `xdf salvage --header-from` with another recording of the same streams.",
     ),
     "one-number": Explanation(
-        "Two streams of one number",
-        "The file may hold two recordings, perhaps of two persons, one behind the other. Here each "
+        "Two streams with the same number",
+        "The file may hold two recordings, perhaps of two people, one after the other. Here each "
         "stream is kept apart; other programs read one of the two, or both as one.",
-        "Run `xdf salvage`, which gives each stream a number of its own.",
+        "Run `xdf salvage`, which gives each stream its own number.",
     ),
     "no-streams": Explanation(
         "No streams",
@@ -142,11 +141,11 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Use the data before that time; only change settings between recordings.",
     ),
     "another-agent": Explanation(
-        "The recorder went on with another agent",
+        "The recorder continued with another agent",
         "LabRecorder finds a stream that ended again by its source_id alone, also in another LSL "
         "session.",
         "Use the data before that time only. Give each room its own participant names; the "
-        "`doctor` command says where another session has the same source_id.",
+        "`doctor` command shows where another session has the same source_id.",
     ),
     "away": Explanation(
         "A sensor was disconnected for a while",
@@ -291,8 +290,9 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "unused-offsets": Explanation(
         "Clock offsets that cannot be right",
-        "Some of its clock offsets would put it weeks or years away from its others, as where a "
-        "computer's clock is set to the date while it answers. They are not used; all others are.",
+        "Some of its clock offsets would put it weeks or years away from its others, for example "
+        "because a computer's clock was set while it answered. They are not used; all others "
+        "are.",
         "Nothing, if it is one of many. Otherwise compare its times with another stream's, such as "
         "one event that both show.",
     ),
@@ -305,7 +305,7 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     "begins-late": Explanation(
         "Begins late",
         "It has no data in the first seconds.",
-        "Begin the analysis later; start recordings when all sensors are streaming.",
+        "Start the analysis later; start recordings when all sensors are streaming.",
     ),
     "ends-early": Explanation(
         "Ends early",
@@ -390,9 +390,9 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Check the recorder and the disk; start another recording if it does not recover.",
     ),
     "not-begun": Explanation(
-        "A stream has not begun",
+        "A stream has not started",
         "The recording runs, but has no sample of this stream yet.",
-        "Wait until this has gone before you begin; if it stays, check its sensor.",
+        "Wait until this disappears before you start; if it stays, check its sensor.",
     ),
     "stopped": Explanation(
         "A stream has stopped",

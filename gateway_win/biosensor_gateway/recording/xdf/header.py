@@ -267,7 +267,7 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     wrong: list[str] = []
     if content[1:2] == b"\0" or content.startswith(_UTF16):
         text = str(content, "utf-16" if content.startswith(_UTF16) else "utf-16-le", "replace")
-        wrong.append("UTF-16 in place of UTF-8")
+        wrong.append("UTF-16 instead of UTF-8")
     for pattern, instead, what in _FIXES:
         text, count = pattern.subn(instead, text)
         wrong += [what] if count else []
@@ -282,7 +282,7 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
             node.text = after
             wrong.append(f"{name} {before!r}" if before else f"no {name}")
     if not wrong:
-        raise ChunkError("nothing of it can be fixed")
+        raise ChunkError("none of it can be fixed")
     return ET.tostring(root, encoding="utf-8"), tuple(wrong)
 
 

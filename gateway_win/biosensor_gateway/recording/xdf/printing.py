@@ -20,7 +20,7 @@ PAGE = "docs/recording-troubleshooting.md"
 _HEADINGS = {
     About.PERSONS: "",
     About.OTHERS: "of other programs' streams:",
-    About.OURSELVES: "of what agent and node record of themselves:",
+    About.OURSELVES: "of what agent and node record about themselves:",
 }
 
 

@@ -42,7 +42,7 @@ _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
 def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
     """Apply every rule to one stream."""
     if not measured.stream.header.is_recordable and not measured.stream.sample_count:
-        text = "LabRecorder records no int64 streams: only its header is in the file"
+        text = "LabRecorder does not record int64 streams: only its header is in the file"
         yield Finding(Level.ERROR, "int64", measured.name, text)
         return
     for rule in _RULES:
@@ -53,11 +53,11 @@ def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
 def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     header = measured.stream.header
     if header.is_guessed:
-        text = "its header is not UTF-8, so its characters are guessed, as in Windows"
+        text = "its header is not UTF-8, so its characters are guessed from Windows' encoding"
         yield Level.WARNING, "not-utf8", text
     if guessed := measured.stream.guessed_texts:
         texts = "1 of its texts is" if guessed == 1 else f"{guessed} of its texts are"
-        text = f"{texts} not UTF-8, so characters are guessed, as in Windows"
+        text = f"{texts} not UTF-8, so characters are guessed from Windows' encoding"
         yield Level.WARNING, "not-utf8", text
     if header.refused:
         yield Level.WARNING, "refused-header", f"it claims to be ours, but {header.refused}"
@@ -102,10 +102,10 @@ def _samples(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         text = f"it has no samples: {extent.length_s:.1f} s are too short for {header.rate:g} Hz"
         yield Level.WARNING, "no-samples", text
     elif header.is_regular:
-        text = f"it should have {header.rate:g} samples a second and holds none"
+        text = f"it should have {header.rate:g} samples per second and has none"
         yield Level.ERROR, "no-samples", text
     elif header.content_type == "Markers":
-        text = "it has no markers, on which some versions of MATLAB's loader fail"
+        text = "it has no markers, which makes some versions of MATLAB's loader fail"
         yield Level.NOTE, "no-samples", text
     else:
         yield Level.NOTE, "no-samples", "it has no samples"
@@ -165,7 +165,7 @@ def _backwards(measured: Measured) -> Verdict:
         is_possible = samples <= measured.stream.sample_count // 2
         are = "1 sample is" if samples == 1 else f"{samples} samples are"
         most = "" if one else "up to "
-        text += f": {most}{about}{are} there twice, or" if is_possible else ":"
+        text += f": {most}{about}{are} duplicated, or" if is_possible else ":"
         text += " its sender's clock was set back"
         return Level.ERROR, "backwards", text
     # Who stamps what is to be or has been stamps in another order than it sends.
@@ -193,7 +193,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     header, gaps = measured.stream.header, measured.figures.gaps
     if pauses := measured.figures.pauses.count:
         times = "1 pause" if pauses == 1 else f"{pauses} pauses"
-        text = f"{times} of {measured.figures.pauses.total_s:.3g} s together; nothing of it is lost"
+        text = f"{times} of {measured.figures.pauses.total_s:.3g} s in total; nothing is lost"
         yield Level.NOTE, "paused", text
     if not gaps.count:
         return
@@ -204,8 +204,8 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     places = "1 gap" if gaps.count == 1 else f"{gaps.count} gaps"
     text = (
-        f"{places} of {gaps.total_s:.3g} s together, about {gaps.lost} samples lost; "
-        f"the longest of {worst.length_s:.3g} s at {at:.1f} s"
+        f"{places} of {gaps.total_s:.3g} s in total, about {gaps.lost} samples lost; the longest "
+        f"of {worst.length_s:.3g} s at {at:.1f} s"
     )
     yield Level.WARNING, "gaps", text
     period_s = 1 / header.rate if header.is_regular else 0.0
@@ -214,7 +214,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     is_smeared = header.is_regular and not header.can_drop_samples
     if is_smeared and any(g.length_s <= smeared_up_to for g in gaps.listed):
         text = (
-            "its header does not say can_drop_samples, so load it with "
+            "its header does not state can_drop_samples, so load it with "
             "dejitter_timestamps=False, otherwise the gaps shift its timestamps"
         )
         yield Level.WARNING, "smeared-gaps", text
@@ -224,8 +224,11 @@ def _held_up(length_s: float, at: float) -> Verdict:
     """Explain a late report of the agent; its counts are cumulative, so none is lost."""
     text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
     if length_s < HELD_UP_S:
-        return Level.NOTE, "held-up", f"{text}; nothing is missing by that"
-    late = "streams without a clock, such as a heart rate, may be stamped late by as much"
+        return Level.NOTE, "held-up", f"{text}; this loses nothing"
+    late = (
+        "streams without a clock, such as a heart rate, may have time stamps that are late by as "
+        "much"
+    )
     return Level.WARNING, "held-up", f"{text}; {late}"
 
 
@@ -234,8 +237,8 @@ def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     rate = figures.rate_between_gaps_hz
     if figures.found_hz is not None:
         text = (
-            f"its header names no rate, and its samples come evenly, at {figures.found_hz:.4g} Hz; "
-            "EDF, Kubios, BIDS and features take that"
+            f"its header names no rate, but its samples come evenly, at {figures.found_hz:.4g} "
+            "Hz; EDF, Kubios, BIDS and features use that"
         )
         yield Level.NOTE, "no-rate", text
         return
@@ -265,7 +268,9 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         spans = SenderClock(measured.stream.clock_offsets).doubtful_spans
         told = "; ".join(each.text(extent.begin) for each in spans[:_MOST_SPANS])
         text = f"its sender's clock was restarted or set {times}; "
-        text += told or "its timestamps tell before from after, so times are right"
+        text += (
+            told or "its time stamps show which samples came before and after, so times are right"
+        )
         yield Level.WARNING, "clock-reset", text
     if unused := SenderClock(measured.stream.clock_offsets).unused:
         # The last one alone is that of an outlet that was closing, and no sample comes after it.
@@ -292,7 +297,7 @@ def _extent(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield (
             Level.WARNING,
             "begins-late",
-            f"it begins {seconds_text(late_s, 1)} after the recording",
+            f"it starts {seconds_text(late_s, 1)} after the recording",
         )
     early_s = extent.length_s - extent.since_begin(figures.last, measured)
     stood = figures.pace.standstills if figures.pace else ()
@@ -362,10 +367,10 @@ def _counted(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         text = f"{missing} of {counters.pushed} samples that the agent pushed are not in the file"
         yield Level.ERROR, "not-recorded", text
     elif counters.held > counters.pushed:
-        text = f"{counters.held} samples are in the file where the agent pushed {counters.pushed}"
+        text = f"{counters.held} samples are in the file, but the agent pushed {counters.pushed}"
         yield Level.ERROR, "too-many", text
     if counters.lost:
-        text = f"the agent counted {counters.lost} samples as lost on their way from the device"
+        text = f"the agent counted {counters.lost} samples as lost on the way from the device"
         yield Level.WARNING, "lost", text
     if counters.restarts:
         text = f"the agent was restarted {counters.restarts} times during the recording"

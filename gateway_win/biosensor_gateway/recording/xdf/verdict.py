@@ -96,8 +96,8 @@ def _damaged(recording: Recording) -> Iterator[Finding]:
         yield Finding(Level.ERROR, "no-header", "", text)
     for stream in recording.renumbered:
         text = (
-            "it follows another stream of its number, as if two recordings had been joined; other "
-            "programs mix the two up, and xdf salvage gives each a number of its own"
+            "it follows another stream with the same number, as if two recordings had been "
+            "joined; other programs confuse the two, and xdf salvage gives each its own number"
         )
         yield Finding(Level.WARNING, "one-number", stream.header.title, text)
     if not recording.streams:

@@ -54,12 +54,15 @@ BAD_VALUE = "BAD_value"
 COLUMNS = ("onset", "duration", "trial_type", "undone", "stream", "note", "value")
 COLUMN_DESCRIPTIONS: Mapping[str, object] = {
     "onset": {"Description": "time since TimeZero", "Units": "s"},
-    "duration": {"Description": "of a gap; not known else, as markers are moments", "Units": "s"},
+    "duration": {
+        "Description": "of a gap; otherwise not known, because markers are instants",
+        "Units": "s",
+    },
     "trial_type": {"Description": "name of the marker or of a device's event, or a short text"},
     "undone": {"Description": "yes where the experimenter took the marker back later, else no"},
     "stream": {"Description": "name of the LSL stream"},
-    "note": {"Description": "free text of a marker of the experimenter"},
-    "value": {"Description": "the whole text as it was recorded"},
+    "note": {"Description": "free text of the experimenter's marker"},
+    "value": {"Description": "the full text as it was recorded"},
 }
 Holds = Mapping[int, Iterable[str]]
 """The participants' labels of each marker stream, by stream number."""
@@ -142,26 +145,26 @@ Made from recordings of LSL streams (XDF) by biosensor-gateway {{version}}. Plea
 this text, and name authors and licence in dataset_description.json, before you share it.
 
 - beh/*_physio: signals with a rate. The table has equal steps of 1/SamplingFrequency from
-  StartTime on. Every sample stands in the row that is nearest to its time, and the column
+  StartTime on. Every sample is in the row nearest to its time, and the column
   timestamp has the time itself. Nothing was interpolated or left out: where a sample is missing,
   the row is n/a. SamplingFrequency is the real rate between gaps; SamplingFrequencyNominal is
-  what the device promised. LargestDisplacement says, in s, how far a sample is from its row at
-  most, and SamplesInAnotherRow how many did not find their own row free.
-- motion/*_motion: the same of accelerometers and the like. There SamplingFrequency is the nominal
-  rate and SamplingFrequencyEffective the real one, as BIDS wants it.
+  what the device promised. LargestDisplacement is the greatest distance of a sample from its
+  row, in s, and SamplesInAnotherRow the number of samples whose own row was taken.
+- motion/*_motion: the same for accelerometers and the like. There SamplingFrequency is the nominal
+  rate and SamplingFrequencyEffective the real one, as BIDS requires.
 - beh/*_recording-eye1_physio: gaze of an eye tracker, a table for each eye.
-- emg/*_emg: EMG as BDF+ files, in 24 bits. Where a value was lost the least one stands, and an
-  event BAD_gap or BAD_value says so.
+- emg/*_emg: EMG as BDF+ files, in 24 bits. Where a value was lost, the lowest one is written, and
+  an event BAD_gap or BAD_value marks it.
 - eeg/*_eeg: EEG as BrainVision files, unscaled. Rows that were lost are NaN and have an event
-  BAD_gap; behind a gap of more than 10 s another run begins. Onsets of their events count from the
+  BAD_gap; after a gap of more than 10 s a new run starts. Onsets of their events count from the
   first sample of the run.
 - beh/*_physioevents: signals without a rate, such as beats; onset is their time. OnsetSource is
-  empty because they have no table of equal steps beside them.
+  empty because there is no table of equal steps for them.
 - beh/*_events.tsv: markers, and what happened to the devices. Rows that are undone were taken back.
 
 All times are in s since TimeZero, which every sidecar names; it is the same for all people of one
 recording.
-sub-{UNKNOWN} stands for somebody whom the recording does not name, sub-{SHARED} for streams that
+sub-{UNKNOWN} is a person whom the recording does not name, sub-{SHARED} holds streams that
 belong to none of several people.
 """
 
@@ -219,7 +222,7 @@ class _Dataset:
         written |= self._write_events(writer)
         if not written:
             path = self._chosen.contents.path
-            message = f"{path} has no data that BIDS has a place for"
+            message = f"{path} has no data for which BIDS has a place"
             raise RecordingError(RecordingReason.EMPTY, message)
         describe(self._root, self._options.name, self._subjects, written)
         missing = [
@@ -331,8 +334,8 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
         yield f"no samples, so no table: {_listed(remarks.without_samples)}"
     if remarks.without_table:
         yield Missing(
-            "stamps far from any rate, so no table of equal steps; "
-            f"csv has them: {_listed(remarks.without_table)}"
+            "time stamps fit no rate, so no table of equal steps; csv has them: "
+            f"{_listed(remarks.without_table)}"
         )
     if remarks.cut:
         yield (
@@ -341,21 +344,22 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
         )
     yield from remarks.sentences
     if remarks.in_24_bits:
-        yield f"EMG, which BIDS has as BDF, in 24 bits: {_listed(remarks.in_24_bits)}"
+        yield f"EMG, which BIDS stores as BDF, in 24 bits: {_listed(remarks.in_24_bits)}"
     if remarks.runs:
-        yield f"gaps of more than 10 s begin another run: {_listed(remarks.runs)}"
+        yield f"gaps of more than 10 s start a new run: {_listed(remarks.runs)}"
     if remarks.rounded:
         yield (
-            "EEG in double64 or int32, which BrainVision has as the nearest float32: "
+            "EEG in double64 or int32, which BrainVision stores as the nearest float32: "
             f"{_listed(remarks.rounded)}"
         )
     if remarks.moved:
         yield (
-            "some samples are not in the row of their time, as it was taken; the column "
-            f"timestamp has the time, the sidecar how many and how far: {_listed(remarks.moved)}"
+            "some samples are not in the row of their time, because it was taken; the column "
+            "timestamp has the time, the sidecar how many they are and how far off: "
+            f"{_listed(remarks.moved)}"
         )
     if remarks.unplaced:
-        yield Missing(f"{remarks.unplaced} samples have stamps of no clock and were left out")
+        yield Missing(f"{remarks.unplaced} samples have time stamps of no clock and were left out")
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -103,7 +103,7 @@ def of_grid(stream: Stream, timing: Timing, table: RegularTable) -> dict[str, ob
 
 def timestamp() -> dict[str, object]:
     """Return the description of the time column."""
-    told = "time of the sample as it was recorded, since TimeZero; rows are where it is nearest"
+    told = "time of the sample as it was recorded, since TimeZero; its row is the nearest"
     return {TIMESTAMP: {"Description": told, "Units": "s"}}
 
 

@@ -242,7 +242,7 @@ class SignalWriter:
             # Onsets do not refer to another table's column but are seconds since TimeZero.
             "OnsetSource": "",
             ONSET: {"Description": "time of the sample, since TimeZero", "Units": "s"},
-            DURATION: {"Description": "0: a sample holds for a moment", "Units": "s"},
+            DURATION: {"Description": "0: a sample applies to an instant", "Units": "s"},
             **sidecars.described_columns(stream),
             "TaskName": entities.task,
             "Samples": samples,
@@ -372,9 +372,11 @@ class SignalWriter:
             return []
         eyes, told = eyes_of(stream), ""
         if not eyes:
-            told = "no channel is known as x and y of the gaze, so it is a table as any other"
+            told = (
+                "no channels are known to be x and y of the gaze, so it is a table like any other"
+            )
         elif not all(each.is_told for each in eyes):
-            told = "no header says which eye it is, so it is called cyclopean, which is both"
+            told = "no header says which eye it is, so it is called cyclopean, which means both"
         if told:
             self.remarks.sentences.append(f"{stream.header.title}: {told}")
         return eyes

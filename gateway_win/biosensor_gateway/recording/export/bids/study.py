@@ -57,7 +57,9 @@ class Study:
     def __init__(self, root: Path) -> None:
         is_empty = root.is_dir() and not any(root.iterdir())
         if os.path.lexists(root) and not is_dataset(root) and not is_empty:
-            message = f"{root} is not a BIDS data set; give a new folder, or that of a data set"
+            message = (
+                f"{root} is not a BIDS data set; give a new folder, or the folder of a data set"
+            )
             raise ConfigError(ConfigReason.EXISTS, message)
         self._root = root
 
@@ -108,8 +110,8 @@ class Study:
     def _require_name(self, outcome: Outcome) -> None:
         if outcome.mismatch is not None:
             message = (
-                f"{outcome.path}: {outcome.mismatch.sentence}; it is not added until --whose says "
-                "who is right"
+                f"{outcome.path}: {outcome.mismatch.sentence}; it is not added until --whose "
+                "says which is right"
             )
             raise RecordingError(RecordingReason.UNWRITABLE, message)
 
@@ -203,7 +205,7 @@ class Study:
 
 def _in_the_way(recording: Path, name: Path) -> RecordingError:
     message = (
-        f"{recording}: {name} is in the data set already, of another recording; export it with "
+        f"{recording}: {name} is already in the data set, from another recording; export it with "
         "another --session or --task, or alone"
     )
     return RecordingError(RecordingReason.UNWRITABLE, message)

@@ -60,8 +60,8 @@ _MEANS = f"""\
 One table for each stream: a row for each sample, a column for each channel. NaN means that
 there is no value. Where samples are missing, so are their rows.
 
-Column {{time}}: when it was. Column seconds: the time since the recording begins, which is the
-same for all tables.
+Column {{time}}: the time of the sample. Column seconds: the time since the start of the recording,
+which is the same for all tables.
 
 {MARKERS}: what happened, with seconds since the start. undone is yes where a marker was taken
 back later.
@@ -73,8 +73,8 @@ whose decimals are commas, import them as text with a point (in Excel: Data > Fr
 """
 _WIDE = """
 all_...Hz: all streams of one rate side by side. Rows have equal steps; a sample is in the row
-that is nearest to its time, nothing is interpolated, and a row in which nothing was measured is
-left out. marker is what happened at that row, or since the one before.
+nearest to its time, nothing is interpolated, and a row in which nothing was measured is left
+out. marker is the event at that row, or since the row before.
 """
 MARKER = "marker"
 # Number of rows written at once.
@@ -167,7 +167,7 @@ def _told(runs: Runs) -> Iterator[str]:
     yield from runs.remarks_on_times()
     if gaps := runs.gaps():
         text = gap_text([each.lost for each in gaps])
-        yield f"{text}, each an event {BAD_GAP} in {MARKERS}; no row stands there"
+        yield f"{text}, each an event {BAD_GAP} in {MARKERS}; there is no row"
 
 
 def _write_markers(
@@ -372,7 +372,7 @@ def _member(
         return None
     why = stream.clock_error or ("its time steps back" if len(timing.parts) > 1 else "")
     if not why and timing.rows > _MOST_ROWS:
-        why = "its stamps are too far apart"
+        why = "its time stamps are too far apart"
     if why:
         told = f"{stream.header.title}: in no wide table, because {why}; its own table contains it"
         notes.append(Missing(told))
@@ -429,10 +429,10 @@ def _write_table(
         f"Hz; a sample is at most {round(away_s * 1e3, 3):g} ms from the time of its row"
     )
     if moved := sum(each.grid.displacement.moved for each in columns):
-        yield f"{moved} samples are not in the row of their time, as it was taken"
+        yield f"{moved} samples are not in the row of their time, because it was taken"
     if told:
         markers_came = "1 marker came" if len(told) == 1 else f"{len(told)} markers came"
-        yield f"{markers_came} after its last row: {tables.MARKERS} alone has them"
+        yield f"{markers_came} after its last row: only {tables.MARKERS} has them"
 
 
 def _with_markers(text: bytes, rows: NDArray[np.int64], told: deque[tuple[int, str]]) -> bytes:

@@ -76,14 +76,14 @@ class _Job:
 
 
 _MEANS = """\
-Each file is EDF+ in 24 bits (BDF+); open it with EDFbrowser, EEGLAB or MNE. It has one stream,
-and if that has gaps, what is between two of them.
+Each file is EDF+ in 24 bits (BDF+); open it with EDFbrowser, EEGLAB or MNE. It holds one stream,
+or, if that has gaps, the part between two of them.
 
-Markers are annotations. So is the LSL time at which a file begins, by which files can be
-aligned, and each place where there is no value: the least value that the channel can have stands
-there (its physical minimum), which is below every value that was measured.
+Markers are annotations. So are the LSL time at which a file starts, by which files can be
+aligned, and each place without a value: there the channel has its physical minimum, which is
+below every value that was measured.
 
-The last data record is filled up with the last sample; an annotation says from where on.
+The last data record is filled up with the last sample; an annotation marks where this starts.
 """
 
 
@@ -111,8 +111,8 @@ class Edf:
             told = ", ".join(irregular[:_MOST_NAMED])
             told += f" and {len(irregular) - _MOST_NAMED} more" * (len(irregular) > _MOST_NAMED)
             job.notes.append(
-                f"without a rate, so left out, for EDF cannot hold it: {told}; --rate HZ helps if "
-                "you know it"
+                f"without a rate, so left out, because EDF cannot hold it: {told}; --rate HZ "
+                "helps if you know it"
             )
         if not any(target.iterdir()):
             message = (
@@ -153,8 +153,8 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
             kept.append((stretch, path, channels))
     if any(len(channels) >= _MOST_SIGNALS for _, _, channels in kept):
         job.notes.append(
-            f"{name}: pyEDFlib, and what else is made with EDFlib, opens no file of "
-            f"{_MOST_SIGNALS} channels or more; MNE does"
+            f"{name}: pyEDFlib and other programs based on EDFlib cannot open files of "
+            f"{_MOST_SIGNALS} channels or more; MNE can"
         )
     happened = _dealt(job, stream, [each for each, _, _ in kept])
     for (stretch, path, channels), dealt_out in zip(kept, happened, strict=True):
@@ -185,8 +185,8 @@ def _dealt(job: _Job, stream: Stream, kept: Sequence[Stretch]) -> list[list[Anno
     found, outside = dealt_to_spans(job.happened, spans)
     if outside:
         job.notes.append(
-            f"{stream.header.title}: {outside} of the markers came outside of its samples; they "
-            "are annotations of the file before, or of the first, at times that it does not cover"
+            f"{stream.header.title}: {outside} of the markers came outside its samples; they are "
+            "annotations of the file before, or of the first, at times that it does not cover"
         )
     return [
         [Annotation(time_s - stretch.begin_s, 0.0, text) for time_s, text in each]

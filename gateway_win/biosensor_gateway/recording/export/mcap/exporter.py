@@ -201,8 +201,8 @@ _MEANS = """\
 A ROS 2 bag: an MCAP file and its metadata. Foxglove opens the file, and so does ros2 bag play;
 for topics that end in _stamped it needs the package biosensor_msgs of the gateway.
 
-Topics are those that the gateway's node publishes of the same streams. What is not named above
-is for the way back: biosensor-gateway bag import makes the recording of it again.
+Topics are those that the gateway's node publishes for the same streams. Files not named above
+are for the way back: biosensor-gateway bag import makes a recording from them again.
 """
 
 
@@ -312,10 +312,10 @@ class _Conversion:
         wall = self._chosen.contents.wall
         if wall is None:
             moved_s = int(self._wall.offsets_ns[0]) // NS_PER_S
-            moved = f", moved by {moved_s} s, for ROS has no time before 0," if moved_s else ""
+            moved = f", moved by {moved_s} s, because ROS has no time before 0," if moved_s else ""
             yield (
                 "the time of day of the recording is unknown, so the bag's times are those of "
-                f"the LSL clock{moved} and begin in 1970"
+                f"the LSL clock{moved} and start in 1970"
             )
         elif wall.doubt:
             yield f"the time of day of the bag's messages {wall.doubt}"
@@ -327,8 +327,8 @@ class _Conversion:
                 yield Missing(f"{samples} of {name} {are} not in it: their timestamp is not valid")
             if moved := self._moved[stream.number]:
                 yield (
-                    f"{name}: its time steps back, and a bag is in the order of time, so {moved} "
-                    "of its samples come earlier in it than in the recording"
+                    f"{name}: its time steps back, and a bag is in order of time, so {moved} of "
+                    "its samples come earlier in the bag than in the recording"
                 )
             if topics.unfit.count:
                 yield (

@@ -108,7 +108,7 @@ def salvage(path: Path, target: Path, headers_from: Path | None = None) -> Outco
         If `path` cannot be read or has no samples, or the other file cannot be written.
     """
     if target.suffix.lower() != SUFFIX:
-        message = f"{target} will be no compressed file; give it a name that ends in {SUFFIX}"
+        message = f"{target} will not be compressed; give it a name that ends in {SUFFIX}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     with open_recording(path) as opened:
         known = survey(path, opened)
@@ -118,7 +118,7 @@ def salvage(path: Path, target: Path, headers_from: Path | None = None) -> Outco
         if known.is_whole:
             return outcome
         if not known.sample_count:
-            message = f"{path} holds no sample that can be read, so nothing was written"
+            message = f"{path} holds no readable samples, so nothing was written"
             raise RecordingError(RecordingReason.EMPTY, message)
         _refuse_to_overwrite(target)
         write_salvaged(opened.file, known, target, path)
@@ -237,7 +237,7 @@ def _copy(source: BinaryIO, start: int, end: int, target: BinaryIO) -> None:
     while start < end:
         block = source.read(min(_BLOCK_BYTES, end - start))
         if not block:
-            raise OSError("the recording became shorter meanwhile")
+            raise OSError("the recording has become shorter in the meantime")
         target.write(block)
         start += len(block)
 
@@ -311,11 +311,11 @@ def before_table(outcome: Outcome) -> Iterator[str]:
     if not places:
         what = "was not closed" if known.unclosed else "lacks headers of streams"
         if known.new_headers and not known.unclosed and not known.orphans:
-            what = "has headers that others cannot read, or lacks some"
+            what = "has headers that other programs cannot read, or lacks some"
         elif known.renumbered and not known.unclosed:
             what = "uses one number for several streams"
         if any(each.cut for each in known.streams.values()) and not known.unclosed:
-            what = "holds a last sample of another time"
+            what = "holds a last sample with the time of another"
         yield f"{outcome.path} can be read to its end, but {what}"
         return
     unreadable = sum(each.damage.end - each.damage.start for each in places)
@@ -339,9 +339,9 @@ def after_table(outcome: Outcome) -> Iterator[str]:
     for number, new in known.new_headers.items():
         name = printable(known.streams[number].header.title)
         if new.wrong:
-            yield f"{name}: its header was fixed, which had {', '.join(map(printable, new.wrong))}"
+            yield f"{name}: its header was fixed; it had {', '.join(map(printable, new.wrong))}"
         else:
-            yield f"{name}: its header is that of the other recording; see whether it fits"
+            yield f"{name}: its header is the other recording's; check whether it fits"
     for number in known.renumbered:
         name = printable(known.streams[number].header.title)
         yield f"{name}: it got the new number {number}, because another stream has its previous one"
@@ -349,8 +349,8 @@ def after_table(outcome: Outcome) -> Iterator[str]:
         yield from _stamps_text(stream)
     if outcome.closed:
         streams = "1 stream" if len(outcome.closed) == 1 else f"{len(outcome.closed)} streams"
-        yield f"{streams} got a footer, which counts what was kept"
-    yield f"wrote {outcome.written}; look at it with: biosensor-gateway xdf check {outcome.written}"
+        yield f"{streams} got a footer with the number of samples kept"
+    yield f"wrote {outcome.written}; check it with: biosensor-gateway xdf check {outcome.written}"
 
 
 def _counted_before(stream: KeptStream) -> int | None:
@@ -372,7 +372,7 @@ def _lost_text(stream: KeptStream) -> str:
 def _place_text(place: Place) -> str:
     damage = place.damage
     where = (
-        f"from byte {damage.start} on"
+        f"from byte {damage.start}"
         if damage.breaks_off
         else f"bytes {damage.start} to {damage.end}"
     )
@@ -392,16 +392,16 @@ def _stamps_text(stream: KeptStream) -> Iterator[str]:
     name = printable(stream.header.title)
     if stream.cut is not None:
         yield (
-            f"{name}: its last sample was cut off, whose stamp is of another time: its outlet went "
-            "while it was recorded"
+            f"{name}: its last sample was cut off, because its time stamp is wrong: the outlet "
+            "closed while it was recorded"
         )
     if stream.restamps:
         yield (
-            f"{name}: the stamps behind {len(stream.restamps)} of the damages are reckoned from "
-            "the next that was there"
+            f"{name}: the time stamps after {len(stream.restamps)} of the damaged places are "
+            "calculated from the next one that could be read"
         )
     if stream.untimed:
         yield (
-            f"{name}: {stream.untimed} samples after damaged bytes have no timestamp, so "
-            "they may be later than they say"
+            f"{name}: {stream.untimed} samples after damaged bytes have no time stamp, so they "
+            "may be later than stated"
         )
