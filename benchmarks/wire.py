@@ -32,7 +32,7 @@ class ArrayReader:
         Raises
         ------
         ValueError
-            If the data is not a whole number of samples.
+            If the data is not an integer of samples.
         """
         return self._values(message, -1).reshape(-1, CHANNELS)[:, 0]
 

@@ -144,7 +144,7 @@ async def test_it_is_captured_without_identifiers_and_replayed(
 @pytest.mark.parametrize(
     ("sensor", "why"),
     [
-        ("brainflow", "values and not the bytes"),
+        ("brainflow", "values and not the device's bytes"),
         ("polar_broadcast", "without a connection"),
     ],
 )

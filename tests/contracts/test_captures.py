@@ -154,7 +154,7 @@ async def test_a_device_behind_a_port_is_replayed_as_it_was(device: VirtualDevic
         then = await captured(device)
     except ConfigError as error:
         # Only where no bytes pass.
-        assert "values and not the bytes" in str(error)
+        assert "values and not the device's bytes" in str(error)
         assert not device.settings.keys() & {"port", "host", "url", "udp_port"}
         return
     assert_tells_nothing(then.capture, device)

@@ -255,8 +255,8 @@ def test_two_streams_of_one_source_id_at_one_time_are_no_success(tmp_path: Path)
     assert result.exit_code == 1
     (sentence,) = json.loads(result.output)["refused"]
     assert sentence == (
-        "no features of one of the streams 'amp': another one was recorded at the same time with "
-        "its source_id, 'a1'; give each sender one of its own"
+        "no features from one of the streams 'amp': another one was recorded at the same time "
+        "with its source_id, 'a1'; give each sender its own"
     )
 
 
@@ -273,7 +273,7 @@ def test_a_wrong_rate_in_a_header_costs_no_beat(tmp_path: Path, header_hz: float
     assert count == pytest.approx(len(beats), abs=3)
     (remark,) = told["remarks"]
     assert remark.startswith(
-        f"amp: its header says {header_hz:g} Hz; it is treated as 130 Hz, that"
+        f"amp: its header says {header_hz:g} Hz; it is treated as 130 Hz, the rate"
     )
 
 

@@ -149,8 +149,8 @@ def test_a_wrong_rate_in_a_header_is_told_and_the_true_one_taken(
     wanted = 1000.0 + beats[(beats > 25.0) & (beats < 58.0)]
     assert np.abs(found[:, np.newaxis] - wanted).min(axis=0).max() < 0.1
     assert computer.remark() == (
-        f"ECG Amp 1: its header says {header_hz:g} Hz, and its samples come at 130 Hz, "
-        "which is taken"
+        f"ECG Amp 1: its header says {header_hz:g} Hz, but its samples come at 130 Hz, which is "
+        "used"
     )
 
 
@@ -230,7 +230,7 @@ def test_a_rate_that_is_far_off_is_found_before_half_a_minute_is_over(
     found = [each.stamp - 1000 for _, each in told if each.feature == "beats"]
     due = [beat for beat in beats if 15 < beat < 45]
     assert all(min(abs(each - beat) for each in found) < 0.05 for beat in due)
-    taken = re.search(r"samples come at ([\d.]+) Hz, which is taken", computer.remark())
+    taken = re.search(r"samples come at ([\d.]+) Hz, which is used", computer.remark())
     assert taken
     assert float(taken[1]) == pytest.approx(true_hz, rel=1e-3)
 

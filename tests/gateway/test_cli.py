@@ -232,8 +232,8 @@ def test_an_agent_that_was_killed_streams_no_more(run: Run, state: Path, command
         # Whoever started it need not have asked yet how it ended.
         while psutil.Process(agent.pid).status() != psutil.STATUS_ZOMBIE:
             time.sleep(0.01)
-        assert "ended silently" in one_sentence(run(command), 1)
-    assert "ended silently" in one_sentence(run(command), 1)
+        assert "ended without a message" in one_sentence(run(command), 1)
+    assert "ended without a message" in one_sentence(run(command), 1)
     # In another container its number says nothing, but its lock does.
     with single_instance(state):
         assert run(command).code == 0

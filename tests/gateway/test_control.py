@@ -243,7 +243,7 @@ async def test_half_a_line_and_silence_is_refused_and_disturbs_nobody(
     monkeypatch.setattr(control_server, "TIME_LIMIT_S", 4.0)
     silent = asyncio.create_task(reply_to(folder, b'{"token"'))
     assert await asked(folder, "note") == {"count": 1}
-    assert problem_in(await silent) == "no whole line came within 4 s"
+    assert problem_in(await silent) == "no complete line came within 4 s"
 
 
 @pytest.mark.parametrize("more", [{}, {"command": 7}, {"command": "fly"}, {"command": ["note"]}])
@@ -324,7 +324,7 @@ async def test_only_so_many_programs_listen_at_once(
         reader, writer = await asyncio.open_connection("127.0.0.1", place(folder)["port"])
         writer.write(json.dumps({"token": token, "command": "feed"}).encode() + b"\n")
         assert await reader.readline() == b'{"ok": true, "answer": {}}\n'
-        with pytest.raises(ProtocolError, match="too many programs listen at once"):
+        with pytest.raises(ProtocolError, match="too many programs are connected"):
             await asked(folder, "feed")
         writer.close()
 

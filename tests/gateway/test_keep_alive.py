@@ -89,8 +89,8 @@ def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Pat
     code, told, lives = kept(tmp_path, "SIGKILL", "1", "0")
     assert code == 0
     assert told == [
-        "the agent has died (killed by SIGKILL) and is started again now",
-        "the agent has died (exit code 1) and is started again in 1 s",
+        "the agent has died (killed by SIGKILL) and is restarted now",
+        "the agent has died (exit code 1) and is restarted in 1 s",
     ]
     assert lives == ["0 ", "1 killed by SIGKILL", "2 exit code 1"]
 
@@ -189,7 +189,7 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(tmp_path: Path) -
         assert stop(tmp_path)[0] == 0
         assert supervisor.wait(DEADLINE_S) == 0
     said = (tmp_path / "stderr.txt").read_text()
-    assert "the agent has died (killed by SIGKILL) and is started again now" in said
+    assert "the agent has died (killed by SIGKILL) and is restarted now" in said
     log = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]
     (restart,) = [each for each in log if "was started again" in each["event"]]
     assert (restart["restarts"], restart["last_end"]) == (1, "killed by SIGKILL")
@@ -279,7 +279,7 @@ def test_who_has_chosen_devices_need_not_come_back(tmp_path: Path) -> None:
         terminal.until(lambda _seen: len(supervisor.children()) == 2)
         agent, _standby = sorted(supervisor.children(), key=lambda each: each.create_time())
         agent.kill()
-        shown = terminal.until_seen("the agent had died and was started again")
+        shown = terminal.until_seen("the agent had died and was restarted")
         assert shown.count(MENU) == 1
         terminal.type("\x03")
         assert terminal.exit_code() == 0

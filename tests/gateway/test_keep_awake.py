@@ -152,7 +152,7 @@ def test_it_is_not_said_to_be_held_before_the_system_has_agreed() -> None:
 
 # By which program the computer is kept awake, and that it always ends.
 ENDED_WITHIN_S = 15.0
-NOTHING = "nothing on this computer can hold off its sleep"
+NOTHING = "nothing on this computer can prevent sleep"
 # Both run something that they outlive, as the real ones do.
 STAND_INS = {
     "systemd-inhibit": """\

@@ -217,9 +217,9 @@ def test_what_the_agent_itself_does_not_pass_on_stands_below_the_table() -> None
     shown: list[str] = []
     panel = Panel(NonblockingWriter("nowhere", lambda _lines: None), lambda: None)
     panel.show = lambda drawing: shown.extend(line.text for line in drawing(WIDE))  # pyright: ignore[reportAttributeAccessIssue]
-    told = refused("a marker was sent that no program receives", "unheard_marker")
+    told = refused("a marker was sent, but no program receives it", "unheard_marker")
     LiveTable(panel, colours=False).report(status(device()) | {"refusals": [told]})
-    assert "a marker was sent that no program receives" in shown
+    assert "a marker was sent, but no program receives it" in shown
 
 
 def test_the_rate_is_that_of_the_last_seconds() -> None:

@@ -168,11 +168,11 @@ async def test_an_undo_marks_and_deletes_nothing(heard_desk: Desk) -> None:
     nothing = await heard_desk.refusal("undo-marker")
     assert (nothing.reason, str(nothing)) == (
         ConfigReason.NOT_FOUND,
-        "there is no marker that could be undone",
+        "there is no marker to undo",
     )
     again = await heard_desk.refusal("undo-marker", id=2)
     assert again.reason is ConfigReason.WRONG_VALUE
-    assert str(again) == "marker 2 (b) is undone already"
+    assert str(again) == "marker 2 (b) is already undone"
     # An undo itself, and numbers that nobody has given.
     for number in (4, 0, -1, 99):
         assert f"the id {number} " in str(await heard_desk.refusal("undo-marker", id=number))
@@ -383,7 +383,7 @@ def test_buttons_that_are_none_are_refused(tmp_path: Path, value: str) -> None:
 
 
 def test_a_button_that_is_there_twice_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="should have no name twice, but has 'b'"):
+    with pytest.raises(ConfigError, match="should not have the same name twice, but has 'b'"):
         buttons(tmp_path / "settings.toml", '[markers]\nbuttons = ["a", "b", "b"]')
 
 

@@ -249,7 +249,7 @@ def test_one_sentence_says_what_to_do() -> None:
     assert warnings_of(Path("/u/x/Documents")) == ()
     (sentence,) = warnings_of(Path("/u/x/OneDrive/study"))
     assert "OneDrive" in sentence
-    assert "Choose a folder that stays here" in sentence
+    assert "Choose a folder that is not synchronised" in sentence
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_a_name_like_that_of_an_earlier_recording_is_told(
     for name in (earlier, now, "P10"):
         (tmp_path / f"sub-{name}" / "ses-S001" / "beh").mkdir(parents=True)
     (sentence,) = warnings_of(tmp_path / f"sub-{now}" / "ses-S001" / "beh")
-    assert sentence.startswith(f"{tmp_path} has recordings of {earlier}, too, and this one is of")
+    assert sentence.startswith(f"{tmp_path} also has recordings of {earlier}, and this one is of")
     assert warnings_of(tmp_path / "sub-P10" / "ses-S001" / "beh") == ()
 
 
@@ -306,7 +306,7 @@ def test_an_agent_that_can_write_no_status_still_runs(tmp_path: Path, age_s: flo
     with single_instance(tmp_path):
         error = refusal(tmp_path)
     assert error.reason is ConfigReason.UNREADABLE
-    assert "an agent runs" in str(error)
+    assert "an agent is running" in str(error)
     assert "disk" in str(error)
     assert refusal(tmp_path).reason is ConfigReason.NOT_FOUND
 

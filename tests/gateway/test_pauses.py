@@ -257,8 +257,8 @@ def test_of_several_none_is_chosen_and_all_are_listed(name: str) -> None:
         chosen(name, [LEFT, RIGHT, BELT])
     assert caught.value.reason is ConfigReason.WRONG_VALUE
     assert str(caught.value) == (
-        f"several devices are called '{name}'; "
-        "say which one: polar_h10/A1 (p01 left), polar_h10/B2 (p01 right)"
+        f"several devices have the name '{name}'; choose one: polar_h10/A1 (p01 left), "
+        "polar_h10/B2 (p01 right)"
     )
 
 
@@ -423,7 +423,7 @@ async def test_an_answer_does_not_wait_for_what_is_slow(tmp_path: Path) -> None:
 
 async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:
     commands = PauseCommands(tmp_path, _left).commands
-    with pytest.raises(ConfigError, match="'device' is not a text"):
+    with pytest.raises(ConfigError, match="'device' is not text"):
         await commands["pause"]({"device": 7})
 
 
@@ -449,5 +449,5 @@ def test_it_is_called_by_any_name_that_it_alone_has(name: str) -> None:
     [("polar_h10/A2", "polar_h10/A1"), ("polarh10", "polar_h10"), ("lefft", "left")],
 )
 def test_a_misspelt_name_is_guessed(name: str, meant: str) -> None:
-    with pytest.raises(ConfigError, match=rf"called '{name}' \(did you mean '{meant}'\?\); there"):
+    with pytest.raises(ConfigError, match=rf"name '{name}' \(did you mean '{meant}'\?\); there"):
         chosen(name, [FIRST, SECOND])

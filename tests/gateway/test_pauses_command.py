@@ -182,15 +182,15 @@ def test_names_that_are_none_or_several_are_refused_in_one_sentence(
             1,
             "",
             (
-                "biosensor-gateway: the agent refused pause: several devices are called 'zephyr'; "
-                f"say which one: zephyr/{unit} (p01), zephyr/other\n"
+                "biosensor-gateway: the agent refused pause: several devices have the name "
+                f"'zephyr'; choose one: zephyr/{unit} (p01), zephyr/other\n"
             ),
         )
         assert command(tmp_path, "resume", "p02") == (
             1,
             "",
             (
-                "biosensor-gateway: the agent refused resume: no device is called 'p02'; "
+                "biosensor-gateway: the agent refused resume: no device has the name 'p02'; "
                 f"there are: zephyr/{unit} (p01), zephyr/other\n"
             ),
         )

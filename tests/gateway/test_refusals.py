@@ -65,7 +65,7 @@ from tests.xdf.test_participants import judged
     ("code", "words"),
     [
         (errno.EACCES, "/home/x/.local/state: "),
-        (errno.EROFS, "let BIOSENSOR_GATEWAY_STATE name another folder"),
+        (errno.EROFS, "set BIOSENSOR_GATEWAY_STATE to another folder"),
         (errno.ENOSPC, "/home/x/.local/state: "),
         (errno.EMFILE, "no more files can be opened: this computer lets a program open"),
     ],

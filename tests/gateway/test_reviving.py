@@ -321,7 +321,7 @@ async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(start:
     bench.sends = set()
     await asyncio.sleep(LIMIT_S / 2)
     bench.sink.dropped_bytes += 812
-    await eventually(lambda: "(812 bytes came that cannot be read); enabling" in bench.reason)
+    await eventually(lambda: "(812 unreadable bytes came); enabling" in bench.reason)
     bench.unreadable = 7
     await eventually(lambda: "connecting again; look for an update of its soft" in bench.reason)
     # It has been enabled with everything else, and is not streaming because of that.
@@ -331,7 +331,9 @@ async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(start:
 
 async def test_a_device_that_is_silent_at_last_says_what_came_of_it(start: Start) -> None:
     bench = await start(Silent)
-    await eventually(lambda: "nothing from the device for 0 s (9 bytes came that" in bench.reason)
+    await eventually(
+        lambda: "nothing from the device for 0 s (9 unreadable bytes came" in bench.reason
+    )
 
 
 async def test_nobody_misses_what_a_pause_would_withhold(start: Start) -> None:
@@ -352,7 +354,9 @@ ENDS_WITHIN_S = 60.0
 def test_devices_get_room_in_the_order_of_the_settings() -> None:
     room = Room(20)
     said = room.share_out({"polar_h10/a": 7, "zephyr/b": 14, "muse/c": 8})
-    assert said.startswith("20 streams fit, and 29 are wanted; left out are zephyr/b (14): this")
+    assert said.startswith(
+        "there is room for 20 streams, and 29 are requested; left out are zephyr/b (14): this"
+    )
     assert [room.has(each) for each in ("polar_h10/a", "zephyr/b", "muse/c")] == [True, False, True]
     with pytest.raises(
         TransportError, match=r"its 14 streams are left out.* run in this"
@@ -384,7 +388,7 @@ def test_an_agent_without_room_for_any_device_ends() -> None:
     made = Device(Supervisor(lambda: pytest.fail("it is connected"), sink), sink)
     devices = dict(zip([device], [made], strict=True))
     with pytest.raises(
-        TransportError, match=r"^0 streams fit, .* left out are gateway/a"
+        TransportError, match=r"^there is room for 0 streams, .* left out are gateway/a"
     ) as caught:
         DeviceSet(devices, Room(0)).make_room()
     assert caught.value.reason is TransportReason.EXHAUSTED

@@ -372,14 +372,14 @@ def test_an_unknown_key_is_named_with_its_line(
 @pytest.mark.parametrize(
     ("text", "line", "said"),
     [
-        ("[lsl]\nport_range = '256'", 2, "'lsl.port_range' should be a whole number, but is '256'"),
-        ("[lsl]\nport_range = true", 2, "should be a whole number, but is true"),
+        ("[lsl]\nport_range = '256'", 2, "'lsl.port_range' should be an integer, but is '256'"),
+        ("[lsl]\nport_range = true", 2, "should be an integer, but is true"),
         ("[lsl]\nport_range = 0", 2, "should be greater than or equal to 1, but is 0"),
         ("[lsl]\nport_range = 32769", 2, "should be less than or equal to 32768"),
-        ("[lsl]\nsession_id = 3", 2, "should be a text in quotes"),
+        ("[lsl]\nsession_id = 3", 2, "should be text in quotes"),
         ('[lsl]\nsession_id = "a\\nb"', 2, "should have only letters, digits"),
         ("[lsl]\nknown_peers = 'pc'", 2, "should be a list in square brackets"),
-        ("[lsl]\nknown_peers = [\n'pc',\n'{x}']", 4, "must be a host name or an IP address"),
+        ("[lsl]\nknown_peers = [\n'pc',\n'{x}']", 4, "should be a host name or an IP address"),
         ("lsl = 3", 1, "'lsl' should be a table"),
         ("[log]\nlevel = 'loud'", 2, "should be 'debug', 'info', 'warning' or 'error', but is"),
         ("[log]\nkeep_files = 0", 2, "'log.keep_files'"),
@@ -532,16 +532,16 @@ def test_the_environment_overrides_the_file(load: Loader, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("variable", "value", "reason", "said"),
     [
-        ("LSL__PORT_RANGE", "many", ConfigReason.WRONG_VALUE, "should be a whole number"),
+        ("LSL__PORT_RANGE", "many", ConfigReason.WRONG_VALUE, "should be an integer"),
         ("LSL__KNOWN_PEERS", "a,b", ConfigReason.WRONG_VALUE, "should be a list in JSON"),
-        ("LSL__KNOWN_PEERS", '["a", ""]', ConfigReason.WRONG_VALUE, "must be a host name"),
+        ("LSL__KNOWN_PEERS", '["a", ""]', ConfigReason.WRONG_VALUE, "should be a host name"),
         ("LSL", "x", ConfigReason.WRONG_VALUE, "'lsl' should be a table"),
         ("LSL", '{"sesion_id": "x"}', ConfigReason.UNKNOWN_KEY, "did you mean 'session_id'?"),
         ("LSL__SESION_ID", "x", ConfigReason.UNKNOWN_KEY, "LSL__SESSION_ID'?"),
         ("LSL_SESSION_ID", "x", ConfigReason.UNKNOWN_KEY, "LSL__SESSION_ID'?"),
         ("LOGS__LEVEL", "x", ConfigReason.UNKNOWN_KEY, "LOG__LEVEL'?"),
-        ("DEVICE__0__UNIT", "x", ConfigReason.UNKNOWN_KEY, "it sets nothing"),
-        ("LSL__PORT_RANGE__X", "1", ConfigReason.UNKNOWN_KEY, "it sets nothing"),
+        ("DEVICE__0__UNIT", "x", ConfigReason.UNKNOWN_KEY, "no setting has this name"),
+        ("LSL__PORT_RANGE__X", "1", ConfigReason.UNKNOWN_KEY, "no setting has this name"),
     ],
 )
 def test_a_bad_override_is_named_by_its_variable(

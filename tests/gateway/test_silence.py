@@ -426,7 +426,7 @@ def test_a_strap_that_repeats_beats_is_noticed_after_a_few_and_what_was_sent_is_
     told = [value for (value,) in sent.rows["ibi"]]
     twice = len(told) - len(set(told))
     assert 0 < twice <= 4
-    assert f"so some are told twice; {twice} told twice before were sent" in sent.status()
+    assert f"so some were reported twice; {twice} reported twice before were sent" in sent.status()
     sent.sink.close()
 
 

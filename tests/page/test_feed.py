@@ -115,7 +115,7 @@ def test_readers_that_do_not_read_cost_the_agent_nothing(programs: Programs) -> 
             one_more.sendall(request)
             answer = control.json_object(one_more.makefile("rb").readline())
             assert answer is not None
-            assert "programs show the agent's data already" in answer["problem"]
+            assert "programs already show the agent's data" in answer["problem"]
         (device,) = status_file.read_status(programs.folder)["devices"]
         before = device["streams"][ECG]["pushed"]
         while device["streams"][ECG]["pushed"] < before + 1000:

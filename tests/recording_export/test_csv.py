@@ -250,7 +250,9 @@ def test_missing_beats_are_said(exported: Exporting) -> None:
     header = made.stream_header(1, "beats", kind="RR", desc=_unit("ms"))
     content = made.xdf(header, made.samples(1, "float32", [[800]] * 19, stamps))
     (written,) = exported(content, "kubios").written
-    assert any("beats of 52 s in all are missing" in each for each in written.notes)
+    assert any(
+        "beats are missing between the intervals, 52 s in total" in each for each in written.notes
+    )
     assert (written.path / "beats.txt").read_bytes() == b"800.0\n" * 19
 
 
@@ -370,6 +372,6 @@ def test_a_time_that_no_float_holds_is_that_of_the_sample(exported: Exporting) -
 
 def test_a_pause_is_told_where_gaps_are(exported: Exporting) -> None:
     outcome = exported(paused_recording(*acc(1000, 1005), *acc(1009, 1020)), "csv")
-    told = "polar_h10/A1 of P01 was paused from 5.0 s to 8.0 s: what is missing then was not sent"
+    told = "polar_h10/A1 of P01 was paused from 5.0 s to 8.0 s: data missing then was not sent"
     (readme,) = outcome.written[0].path.rglob("README.txt")
     assert told in " ".join(readme.read_text().split())

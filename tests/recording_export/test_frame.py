@@ -161,7 +161,7 @@ def test_a_disk_that_is_nearly_full_is_left_alone(
     exported: Exporting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", _nearly_full)
-    with pytest.raises(RecordingError, match="make room on it") as caught:
+    with pytest.raises(RecordingError, match="free some space") as caught:
         exported(WHOLE, "csv")
     assert caught.value.reason is RecordingReason.UNWRITABLE
     assert _names(tmp_path) == ["study.xdf"]
@@ -322,7 +322,7 @@ def test_a_stream_whose_header_names_no_rate_is_in_the_table_of_its_rate(tmp_pat
     samples = made.samples(1, "float32", [[float(each)] for each in range(400)], stamps)
     written = _export(tmp_path, header, samples)
     assert [float(row["a.1"]) for row in _table(written)] == [float(each) for each in range(400)]
-    assert any("names no rate; it is taken as 100 Hz" in note for note in written.notes)
+    assert any("names no rate; it is treated as 100 Hz" in note for note in written.notes)
 
 
 @pytest.mark.parametrize("block", [7, 64, 4096])

@@ -194,19 +194,21 @@ def test_a_replay_says_what_it_does_with_time_that_steps_back(tmp_path: Path) ->
         (sentence,) = playback.left_out(
             Player(choose(contents, Selection()), PlayOptions(), "hash")
         )
-    assert sentence.startswith("warning: ecg: its time steps back once; what follows is sent at")
+    assert sentence.startswith(
+        "warning: ecg: its time steps back once; the following samples are sent"
+    )
 
 
 def test_a_bag_says_that_it_has_another_order(tmp_path: Path) -> None:
     path = _written("markers in no order", tmp_path)
     (bag,) = _exported(path).written
-    assert any("so 2 of its samples come earlier in it" in note for note in bag.notes)
+    assert any("so 2 of its samples come earlier in the bag" in note for note in bag.notes)
 
 
 def test_times_before_0_are_moved_in_a_bag_and_come_back(tmp_path: Path) -> None:
     path = _written("stamps from before 0", tmp_path)
     (bag,) = _exported(path).written
-    assert any("moved by 10 s, for ROS has no time before 0" in note for note in bag.notes)
+    assert any("moved by 10 s, because ROS has no time before 0" in note for note in bag.notes)
     import_bag(bag.path, tmp_path / "again.xdf")
     again = read((tmp_path / "again.xdf").read_bytes())
     assert [each.sample_count for each in again.streams] == [odd_shapes.COUNT, 3]
@@ -277,7 +279,7 @@ def test_no_room_for_temporary_files_is_no_fault_of_what_is_packed(
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert caught.value.reason in {RecordingReason.UNWRITABLE, BagReason.UNWRITABLE}
     assert str(caught.value).startswith(f"cannot write temporary files to {tmp_path}/temporary: ")
-    assert str(caught.value).endswith("; the variable TMPDIR (on Windows TEMP) says where")
+    assert str(caught.value).endswith("; the variable TMPDIR (on Windows TEMP) names the folder")
     assert not list((tmp_path / "temporary").iterdir())
 
 
@@ -313,7 +315,7 @@ def test_more_channels_than_others_open_are_said(tmp_path: Path) -> None:
     )
     path.write_bytes(made.xdf(header, samples, made.footer(1, 20)))
     outcome = export(path, Task(["edf"], Selection()), lambda _name, _s: lambda _done: None)
-    assert any("opens no file of 640" in each for each in outcome.written[0].notes)
+    assert any("cannot open files of 640" in each for each in outcome.written[0].notes)
 
 
 def test_samples_that_a_data_set_leaves_out_are_missing(tmp_path: Path) -> None:

@@ -360,7 +360,7 @@ def test_markers_outside_of_samples_are_in_the_file_before(exported: Exporting) 
     ]
     assert _annotated(folder / "skin_run2.bdf") == [(1.0, "in 2"), (20.0, "after")]
     (note,) = _notes(outcome, "edf")
-    assert note.startswith("skin: 4 of the markers came outside of its samples")
+    assert note.startswith("skin: 4 of the markers came outside its samples")
     left_out, late = _notes(outcome, "ledalab")
     assert left_out.startswith("skin: 3 of the markers came before its first or after its last")
     assert late.startswith("skin: 1 of the markers fell where samples are missing")

@@ -100,7 +100,7 @@ def test_a_loop_begins_again_is_not_played_twice_and_ends_by_ctrl_c(tmp_path: Pa
         pulled = [inlet.pull_sample(PATIENCE_S) for _ in range(6)]
         with playing(file) as second:
             assert second.ended() == 1
-        assert "short.xdf is being played already" in second.said
+        assert "short.xdf is already being played" in second.said
         assert replay.interrupt() == 0
     assert [int(sample[1]) for sample, _ in pulled] == [0, 1, 2] * 2
     times = [stamp - (pulled[0][1] or 0.0) for _, stamp in pulled if stamp is not None]

@@ -211,7 +211,7 @@ def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
     ]
     outcome, file, _ = salvaged(made.xdf(*parts), tmp_path)
     assert len(rows(file)["a"]) == 3
-    assert "a: 2 samples after damaged bytes have no timestamp" in "\n".join(after_table(outcome))
+    assert "a: 2 samples after damaged bytes have no time stamp" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> None:

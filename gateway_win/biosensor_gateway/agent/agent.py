@@ -230,7 +230,7 @@ class KnownStreams:
         except (OSError, ValueError):
             _log.warning(
                 f"{self._path} is damaged, so streams appear only when their devices are "
-                "connected; it is written again then"
+                "connected; it is then written again"
             )
             return []
 
@@ -266,8 +266,8 @@ class Agent:
         taken_over = configure_lsl(settings.lsl.overrides)
         self._lsl_session = api_file.session(api_file.config_here(settings.lsl.overrides))
         if taken_over is not None:
-            people = f"LSL's own settings are heeded: {taken_over}"
-            _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
+            people = f"LSL's own settings are used: {taken_over}"
+            _log.info("LSL configuration used", file=str(taken_over), for_people=people)
         enabled = [device for device in settings.devices if device.enabled]
         devices = {each: Device.from_settings(each) for each in enabled}
         self.devices = DeviceSet(devices, Room.here())
@@ -303,7 +303,7 @@ class Agent:
         self._markers.open()
         start = restart_facts(os.environ)
         if start:
-            _log.warning("the agent had died and was started again", **start)
+            _log.warning("the agent had died and was restarted", **start)
         announcer = Announcer(self._heartbeat_s, self._states, self._problems, start)
         announcer.watch(self._markers.tick)
         self.devices.start(announcer, self._feed)

@@ -118,7 +118,7 @@ def stop_agent(folder: Path, timeout_s: float = USUAL_LIMIT_S) -> str:
     supervisor = _prevent_restart(folder)
     if supervisor is not None:
         has_ended = _has_ended(supervisor, deadline)
-        process, outcome = supervisor, "the agent had died, and is not started again"
+        process, outcome = supervisor, "the agent had died, and is not restarted"
     else:
         process = _ask_to_end(folder, deadline)
         has_ended = process is None or wait_until_free(folder, _left_s(deadline))
@@ -126,7 +126,7 @@ def stop_agent(folder: Path, timeout_s: float = USUAL_LIMIT_S) -> str:
     if not has_ended:
         message = (
             f"the agent has not ended within {timeout_s:g} s; wait, or end its process {process} "
-            "by the means of the system"
+            "with the system's tools"
         )
         raise TransportError(TransportReason.BUSY, message)
     return outcome
@@ -138,7 +138,7 @@ def _prevent_restart(folder: Path) -> int | None:
     try:
         is_taken_down = notice is not None and restart_notice.take_down(folder)
     except OSError as error:
-        message = f"cannot keep the agent from being started again: {error.strerror or error}"
+        message = f"cannot prevent the agent from being restarted: {error.strerror or error}"
         raise TransportError(TransportReason.DENIED, message) from error
     return notice.process if notice is not None and is_taken_down else None
 

@@ -191,7 +191,7 @@ class ControlServer:
         if not isinstance(name, str) or name not in known:
             raise _RefusedError(f"unknown command; known are: {', '.join(known)}")
         if name in self._conversations and len(self._endless) >= MAX_CONVERSATIONS:
-            raise _RefusedError("too many programs listen at once; end one of them")
+            raise _RefusedError("too many programs are connected; end one of them")
         if not isinstance(arguments, dict):
             raise _RefusedError("the arguments are not a JSON object")
         return name, cast("dict[str, Any]", arguments)
@@ -229,7 +229,7 @@ async def _request(reader: asyncio.StreamReader) -> Mapping[str, Any]:
         async with asyncio.timeout(TIME_LIMIT_S):
             received = await reader.readuntil(b"\n")
     except TimeoutError:
-        raise _RefusedError(f"no whole line came within {TIME_LIMIT_S:g} s") from None
+        raise _RefusedError(f"no complete line came within {TIME_LIMIT_S:g} s") from None
     except asyncio.LimitOverrunError:
         raise _RefusedError(f"the line is longer than {REQUEST_LIMIT} bytes") from None
     except asyncio.IncompleteReadError:

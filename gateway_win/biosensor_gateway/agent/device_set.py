@@ -448,7 +448,7 @@ class SettingsReload:
             agent's next start on; ``pending``: whether devices are still ending.
         """
         if self._task is not None and not self._task.done():
-            message = "the settings are being read again already; try again in some seconds"
+            message = "the settings are already being read again; try again in a few seconds"
             raise ConfigError(ConfigReason.IN_USE, message)
         settings = await self._read_again()
         self._task = asyncio.create_task(self._changed(settings))

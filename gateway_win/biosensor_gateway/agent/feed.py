@@ -75,7 +75,7 @@ class Feed:
             ``BUSY`` if there are too many readers.
         """
         if len(self._readers) >= MAX_READERS:
-            message = f"{MAX_READERS} programs show the agent's data already; close one"
+            message = f"{MAX_READERS} programs already show the agent's data; close one"
             raise TransportError(TransportReason.BUSY, message)
         reader = ReaderQueue()
         # A new reader need not wait up to a second for the next status.

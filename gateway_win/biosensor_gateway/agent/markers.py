@@ -85,7 +85,7 @@ class MarkerCommands:
             people = Refusal.UNHEARD_MARKER.message()
             # nothing is dropped: the stream keeps it for a later receiver and has reported it
             _log.warning(
-                "a marker was sent that no program receives", id=sent.id, for_people=people
+                "a marker was sent, but no program receives it", id=sent.id, for_people=people
             )
         answer = {"id": sent.id, "lsl_time": sent.lsl_time}
         return answer if sent.received else answer | {"received": False}
@@ -94,7 +94,7 @@ class MarkerCommands:
         """Undo the marker with the argument ``id``; without it, the last that is not undone."""
         number = arguments.get("id")
         if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
-            raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'id' is not a whole number")
+            raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'id' is not an integer")
         own, of = self._stream.undo(number)
         return {"id": own, "of": of}
 
@@ -116,10 +116,13 @@ def _text(arguments: Mapping[str, Any], name: str, longest: int = MAX_TEXT) -> s
     if given is None:
         return ""
     if not isinstance(given, str):
-        raise ConfigError(ConfigReason.WRONG_VALUE, f"the argument '{name}' is not a text")
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"the argument '{name}' is not text")
     text = given.strip()
     if len(text) > longest or not text.isprintable():
-        message = f"the argument '{name}' is not one line of printable text up to {longest} letters"
+        message = (
+            f"the argument '{name}' is not one line of printable text with at most {longest} "
+            "characters"
+        )
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return text
 

@@ -151,7 +151,7 @@ class PauseCommands:
     def _hold(self, sink: DeviceSink, pause: Pause) -> None:
         sink.pause(pause.since.timestamp())
         _log.warning(
-            "the device is paused, and nothing of it is sent until it is resumed",
+            "the device is paused, and nothing is sent from it until it is resumed",
             sensor=sink.identity.sensor,
             unit=sink.identity.unit,
             since=pause.since.isoformat(timespec="seconds"),
@@ -181,7 +181,7 @@ class PauseCommands:
     def _sink(self, arguments: Mapping[str, Any]) -> DeviceSink:
         name = arguments.get("device")
         if not isinstance(name, str):
-            raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'device' is not a text")
+            raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'device' is not text")
         sinks = self._sinks
         return sinks[chosen(name, sinks)]
 
@@ -218,6 +218,6 @@ class PauseCommands:
             except OSError as error:
                 path = self._folder / PAUSED_FILE
                 problem = cannot_write(path, error)
-                _log.error("the state of pauses is not kept", **names, problem=problem)
+                _log.error("the list of paused devices is not saved", **names, problem=problem)
                 return problem
         return None

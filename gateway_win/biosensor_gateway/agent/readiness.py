@@ -176,6 +176,6 @@ def _missing(device: Mapping[str, Any], streams: tuple[str, ...], watch: _Watch)
         why = f"{device['state']} - {device['error']}" if device["error"] else device["state"]
         return Missing(name, streams if not device["streams"] else silent, why)
     if device.get("paused"):
-        return Missing(name, silent, "paused; take it up again with: biosensor-gateway resume")
+        return Missing(name, silent, "paused; continue with: biosensor-gateway resume")
     why = device["error"] or "connected, but not all of its streams deliver samples"
     return Missing(name, silent, why)

@@ -59,12 +59,12 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        message = f"several devices are called {name!r}; say which one: {_listed(matching)}"
+        message = f"several devices have the name {name!r}; choose one: {_listed(matching)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     there = f"there are: {_listed(known)}" if known else "there is none"
     callable_by = (e for each in known for e in (device_name(each), each.sensor, each.label))
     hint = did_you_mean(name, filter(None, callable_by))
-    raise ConfigError(ConfigReason.NOT_FOUND, f"no device is called {name!r}{hint}; {there}")
+    raise ConfigError(ConfigReason.NOT_FOUND, f"no device has the name {name!r}{hint}; {there}")
 
 
 def _listed(devices: Iterable[DeviceIdentity]) -> str:

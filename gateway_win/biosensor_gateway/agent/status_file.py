@@ -49,7 +49,7 @@ def read_status(folder: Path) -> dict[str, Any]:
         status["devices"] = list(status["devices"])
     except (FileNotFoundError, NotADirectoryError) as error:
         if _is_held(folder):
-            raise _unwritten(folder, "has written no status yet") from error
+            raise _unwritten(folder, "has not written its status yet") from error
         message = "no agent is running; start one with: biosensor-gateway run"
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -58,7 +58,7 @@ def read_status(folder: Path) -> dict[str, Any]:
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     if age > STALE_AFTER_S:
         if _is_held(folder):
-            raise _unwritten(folder, f"has written no status for {age:.0f} s")
+            raise _unwritten(folder, f"has not written its status for {age:.0f} s")
         message = f"the agent last reported {age:.0f} s ago; start it with: biosensor-gateway run"
         raise ConfigError(ConfigReason.NOT_FOUND, message)
     return status
@@ -68,8 +68,8 @@ def _unwritten(folder: Path, what: str) -> ConfigError:
     """Return the error for an agent that runs without writing its status."""
     # That it runs is known from its lock, which works even on a full disk.
     message = (
-        f"an agent runs, and {what} into {folder}: it is starting or stuck, or the disk is full; "
-        "make room on it and look again"
+        f"an agent is running, but {what} to {folder}: it is starting or stuck, or the disk is "
+        "full; free some space and look again"
     )
     return ConfigError(ConfigReason.UNREADABLE, message)
 
@@ -98,7 +98,7 @@ def _status_of_a_process(folder: Path) -> dict[str, Any]:
     # means nothing here.
     if not lives(status.get("process")) and not _is_held(folder):
         message = (
-            "the agent has ended silently, as if it had been killed; start it with: "
+            "the agent has ended without a message, as if it had been killed; start it with: "
             "biosensor-gateway run"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message)

@@ -78,7 +78,7 @@ class SilenceRecovery:
                 message = f"nothing from the device for {self._limit_s:.0f} s"
                 message += self._unreadable.since(self._limit_s)
                 raise TransportError(
-                    TransportReason.SILENT, f"{message}; the connection is started again"
+                    TransportReason.SILENT, f"{message}; the connection is restarted"
                 )
             if self._sink.is_paused:
                 # While it is paused, samples would be suppressed anyway.
@@ -196,7 +196,7 @@ class _Unreadable:
     def since(self, seconds: float) -> str:
         """Return the number in the last *seconds* as text; empty if it is 0."""
         count = self.count(seconds)
-        return f" ({count} bytes came that cannot be read)" if count else ""
+        return f" ({count} unreadable bytes came)" if count else ""
 
 
 def _denial(denied: Mapping[str, str]) -> str | None:
@@ -330,7 +330,7 @@ class Supervisor:
         for outcome in ended:
             if isinstance(outcome, Exception):
                 return _cause(outcome)
-        return TransportError(TransportReason.LOST, "the driver stopped by itself")
+        return TransportError(TransportReason.LOST, "the driver stopped unexpectedly")
 
     def _dropped(self, error: Exception) -> Exception:
         # Before closing, which takes time and does not change the reason.
@@ -366,7 +366,7 @@ class Supervisor:
         # Only logged: the connection is over in any case.
         if not closing.done():
             closing.cancel()
-            _log.warning("closing takes too long; it is left to itself", **self._names)
+            _log.warning("closing takes too long; it is no longer waited for", **self._names)
         elif not closing.cancelled() and (error := closing.exception()) is not None:
             _log.warning("closing failed", **self._names, error=str(error))
 

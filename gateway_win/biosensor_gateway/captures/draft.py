@@ -28,13 +28,13 @@ from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 SECONDS = 60.0
 """Default length of a capture."""
 CONSENT = (
-    "An electrocardiogram, a pulse wave, an EEG and the way a person moves can identify this "
-    "person, as a fingerprint can, without any name. The file will be public, for anybody and for "
-    "good: under the licence CC0-1.0, which gives up all rights, nobody can take it back. So send "
-    "it only if you wore the device, or if whoever wore it knows all this and agrees; for a child, "
-    "the parents."
+    "An electrocardiogram, a pulse wave, an EEG and the way a person moves can identify that "
+    "person without a name, as a fingerprint can. The file will be public, for everyone and "
+    "permanently: under the licence CC0-1.0, which gives up all rights, nobody can take it back. "
+    "So send it only if you wore the device, or if the wearer knows all this and agrees; for a "
+    "child, the parents."
 )
-AGREED = "Whoever wore the device has agreed that it is public under CC0-1.0."
+AGREED = "The wearer of the device agrees that it is public under CC0-1.0."
 HOW_TO_SEND = 'To send it, open an issue of the kind "A capture of a device" and attach the file.'
 MOST_NOTE = 300
 """Longest note, in characters."""
@@ -95,7 +95,7 @@ class Draft:
             with file.open("xb") as opened:
                 opened.write(content)
         except FileExistsError as error:
-            message = f"there is a file {file} already; choose another name"
+            message = f"{file} already exists; choose another name"
             raise ConfigError(ConfigReason.EXISTS, message) from error
         except OSError as error:
             message = f"{file} cannot be written ({error.strerror}); choose another place"
@@ -112,9 +112,9 @@ def file_name(capture: Capture) -> str:
 
 def _contents(capture: Capture) -> Iterator[str]:
     header = capture.header
-    yield "This is what the file holds:"
+    yield "The file contains:"
     known = (header.manufacturer, header.model, header.firmware)
-    yield f"  device: {header.sensor}, {', '.join(filter(None, known)) or 'nothing known of it'}"
+    yield f"  device: {header.sensor}, {', '.join(filter(None, known)) or 'nothing known about it'}"
     yield f"  computer: {header.system}; {header.radio}; biosensor-gateway {header.gateway}"
     yield f"  month: {header.recorded}; length: {header.seconds:g} s"
     if header.settings:
@@ -124,7 +124,7 @@ def _contents(capture: Capture) -> Iterator[str]:
     seen = capture.events[0].seen
     if seen is not None:
         yield f"  advertised: {seen.name or 'no name'}, {seen.address}"
-    yield "  what passed, with the time of each, and the first of it:"
+    yield "  data exchanged, with its times and first bytes:"
     groups: dict[tuple[str, str], list[bytes]] = {}
     for event in capture.events:
         groups.setdefault((event.what.value, event.at), []).append(event.bytes)
@@ -132,7 +132,7 @@ def _contents(capture: Capture) -> Iterator[str]:
         size = sum(map(len, packets))
         first = _first_bytes(next(filter(None, packets), b""))
         yield f"    {what} {at}".rstrip() + f": {len(packets)} times, {size} bytes; {first}"
-    yield "The device's own clock is in it as it is, which may tell date and time."
+    yield "The device's own clock is included unchanged, and may reveal date and time."
 
 
 def _first_bytes(packet: bytes) -> str:
@@ -144,14 +144,14 @@ def _first_bytes(packet: bytes) -> str:
 def _replaced(taken: Taken) -> Iterator[str]:
     yield "Replaced:" if taken.replaced else "There was nothing to replace."
     for each in taken.replaced:
-        found = f", {each.times} times in what passed" if each.times else ""
+        found = f", {each.times} times in the data" if each.times else ""
         if each.kind == "secret":
             yield f"    a secret of {len(each.secret)} characters{found}"
         else:
             yield f"    {each.kind}: {_short(each.secret)} became {_short(each.pseudonym)}{found}"
     if any(len(each.secret) < LEAST_SEARCHED for each in taken.replaced):
         yield (
-            f"The file was searched for those of {LEAST_SEARCHED} characters and more: none is "
+            f"The file was searched for those of {LEAST_SEARCHED} or more characters: none is "
             "left. Shorter ones were replaced only where the device says what they are."
         )
     elif taken.replaced:

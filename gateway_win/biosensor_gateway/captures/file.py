@@ -203,7 +203,7 @@ def _parsed(path: Path, lines: Sequence[bytes]) -> Capture:
         for line in lines[1:]:
             events.append(Event.model_validate_json(line))  # noqa: PERF401 - counted if one fails
     except ValidationError as error:
-        what = f"line {len(events) + 1}, or the one behind it: {error.errors()[0]['msg']}"
+        what = f"line {len(events) + 1}, or the one after it: {error.errors()[0]['msg']}"
         raise _unreadable(path, what) from error
     for before, after in pairwise(events):
         if after.t < before.t:

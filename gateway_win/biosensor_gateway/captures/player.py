@@ -242,7 +242,7 @@ class Player:
             ``ABSENT`` if that takes too long, or there is no next connection.
         """
         if self.rest_s > OPEN_LIMIT_S:
-            message = "the device of the capture is not there now"
+            message = "the device of the capture is not present now"
             raise TransportError(TransportReason.ABSENT, message)
         await asyncio.sleep(self.rest_s)
         events = self._captured[len(self.links)]

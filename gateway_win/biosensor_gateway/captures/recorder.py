@@ -201,7 +201,10 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
     if left := redaction.left_in(redacted, _texts(header)):
         # A safeguard: this would be a defect of the redaction, and the file must not be shown.
         kinds = ", ".join(sorted({each.kind for each in left}))
-        message = f"nothing could be captured: what tells whose device it is stayed in it ({kinds})"
+        message = (
+            "nothing could be captured: data that identifies the device would remain in it "
+            f"({kinds})"
+        )
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return Taken(capture, redaction.replaced, test)
 
@@ -226,12 +229,12 @@ def _nothing(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> 
         return f"nothing could be captured: {why}"
     if driver(settings.sensor).recognise is not None:
         return (
-            f"{settings.sensor} is heard without a connection, so nothing passes that could be "
-            "captured; send a recording instead"
+            f"{settings.sensor} is received without a connection, so there is nothing to "
+            "capture; send a recording instead"
         )
     return (
-        f"{settings.sensor} is reached by another program's library, which gives values and not "
-        "the bytes of the device, so there is nothing to capture; send a recording instead"
+        f"{settings.sensor} is reached through another program's library, which gives values and "
+        "not the device's bytes, so there is nothing to capture; send a recording instead"
     )
 
 

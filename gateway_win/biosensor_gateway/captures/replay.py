@@ -186,7 +186,7 @@ def replay(
     """
     kind = Outlet if live else UnsentOutlet
     if not capture.events or any(link[0].what is not What.OPENED for link in capture.of_links()):
-        message = "the capture has a connection without a beginning; have it recorded again"
+        message = "the capture has a connection without a start; have it recorded again"
         raise ConfigError(ConfigReason.MALFORMED, message)
     clock = LSL_CLOCK if live else LeapingClock(BEGIN_S)
     make = make_sink or partial(ReplaySink, kind=kind)
@@ -225,7 +225,7 @@ def replay_settings(capture: Capture) -> DeviceSettings:
     except ValidationError as error:
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        message = f"the settings of the capture do not hold for {header.sensor} ({what})"
+        message = f"the settings of the capture are not valid for {header.sensor} ({what})"
         raise ConfigError(ConfigReason.WRONG_VALUE, message) from error
 
 
@@ -242,12 +242,14 @@ async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Repo
         if capture.header.arrivals is Arrivals.UNKNOWN:
             for stream in report.streams.values():
                 stream.ages_s.clear()
-            report.notes.append("when it arrived is not known, so nothing is said of its stamps")
+            report.notes.append(
+                "its time of arrival is not known, so its time stamps cannot be judged"
+            )
         report.seconds = clock() - begun_s
         if not is_played:
             report.problems.append(
-                f"the driver made {len(player.links)} connections of "
-                f"{len(capture.of_links())}: {supervisor.last_error or 'it says no reason'}"
+                f"the driver made {len(player.links)} connections of {len(capture.of_links())}: "
+                f"{supervisor.last_error or 'it gives no reason'}"
             )
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
@@ -322,16 +324,18 @@ def _report(
         unknown += link.unknown
         unasked += link.unasked
     report.notes += [
-        f"the driver asked {count} times what the capture has no answer to: {what} {at}".rstrip()
+        f"the driver sent {count} requests to which the capture has no answer: {what} {at}".rstrip()
         for (what, at), count in unknown.items()
     ]
     report.notes += [
-        f"the driver did not ask {count} times what the device was asked then: {what} {at}".rstrip()
+        f"the driver did not send {count} requests that the device got then: {what} {at}".rstrip()
         for (what, at), count in unasked.items()
     ]
     if set(left_out) - _PLACES:
         names = ", ".join(sorted(set(left_out) - _PLACES))
-        report.notes.append(f"it was captured with other settings, which are not in it: {names}")
+        report.notes.append(
+            f"it was captured with other settings, which are not in the file: {names}"
+        )
     if player.unheard:
-        report.notes.append(f"{player.unheard} packets came that the driver did not listen to")
+        report.notes.append(f"{player.unheard} packets came that the driver did not listen for")
     return report

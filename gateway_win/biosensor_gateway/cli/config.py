@@ -160,7 +160,7 @@ def _checked_peers(peers: list[str] | None) -> list[str]:
     try:
         return list(LslSettings(known_peers=tuple(dict.fromkeys(peers or ()))).known_peers)
     except ValidationError:
-        raise typer.BadParameter("must be a host name or an IP address") from None
+        raise typer.BadParameter("should be a host name or an IP address") from None
 
 
 PeersOption = Annotated[

@@ -431,7 +431,7 @@ class Live:
             self._duplicates[info.uid()] = math.inf
             why = (
                 f"two streams {info.name()!r} share the source_id {info.source_id()!r}; that on "
-                f"{info.hostname()} is left out, so give it one of its own"
+                f"{info.hostname()} is left out, so give it its own"
             )
             self._refuse(Refusal.NO_FEATURES, about=info.name(), why=why)
 

@@ -87,9 +87,9 @@ def compute(path: Path, target: Path) -> Computed:
         rated, remarks = with_true_rates(contents.streams)
         pairs, refused, doubled = _sources(_in_parts(contents.streams, rated))
         if not any(source.features for _, source in pairs):
-            why = "; ".join(refused) or "it has no stream of a type that features are of"
+            why = "; ".join(refused) or "it has no stream of a type for which there are features"
             why += "".join(f"; {each}" for each in remarks) + contents.why_incomplete
-            raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {why}")
+            raise FeatureError(FeatureReason.NOTHING, f"no features from {path}: {why}")
         try:
             with new_file(target, like=path) as file:
                 write = _write_csv if target.suffix == ".csv" else _write_xdf
@@ -102,8 +102,8 @@ def compute(path: Path, target: Path) -> Computed:
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
         read = [each for parts, _ in pairs for each in parts]
         remarks += [
-            f"{each.header.title}: {each.untimed} samples are left out, for their stamps are no "
-            "number"
+            f"{each.header.title}: {each.untimed} samples are left out, because their time "
+            "stamps are not numbers"
             for each in read
             if each.untimed
         ]
@@ -124,7 +124,7 @@ def compute(path: Path, target: Path) -> Computed:
         mismatch = compare_file(path, (each.header.identity for each in contents.streams))
         remarks += [*others, *([mismatch.sentence] if mismatch else [])]
         if contents.damages:
-            remarks.append(f"not all of {path} can be read{contents.why_incomplete}")
+            remarks.append(f"{path} can be read only in part{contents.why_incomplete}")
         is_whole = not (contents.damages or others or doubled)
         return Computed(target, counts, (*refused, *doubled), tuple(remarks), is_whole)
 
@@ -192,8 +192,8 @@ def _sources(streams: Sequence[_Parts]) -> tuple[_Pairs, list[str], list[str]]:
             by_header[id(each.header)], [by_header[id(one.header)] for one in chosen]
         ):
             doubled.append(
-                f"no features of one of the streams {each.name!r}: another one was recorded at the "
-                f"same time with its source_id, {each.source_id!r}; give each sender one of its own"
+                f"no features from one of the streams {each.name!r}: another one was recorded at "
+                f"the same time with its source_id, {each.source_id!r}; give each sender its own"
             )
         elif why := left_out(each, left, chosen):
             refused.append(why)

@@ -98,7 +98,7 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
         Feature(
             "hr_live",
             raw("hr_live", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
-            f"{algorithm}; mean of the valid intervals, of all if many are not",
+            f"{algorithm}; mean of the valid intervals, or of all if many are invalid",
             at.HR_WINDOW_S,
             delay_s,
             every_s,
@@ -107,7 +107,7 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
         Feature(
             HR_QUALITY,
             hardware(HR_QUALITY, ContentType.QUALITY, _HR_QUALITY),
-            "what hr_live is the mean of, and the quality of its signal",
+            "the intervals that hr_live averages, and the quality of its signal",
             at.HR_WINDOW_S,
             delay_s,
             every_s,
@@ -175,7 +175,7 @@ def _breathing(unit: str) -> tuple[Feature, ...]:
         Feature(
             BR_QUALITY,
             hardware(BR_QUALITY, ContentType.QUALITY, _BR_QUALITY),
-            "what br_live is the mean of",
+            "the intervals that br_live averages",
             at.BR_WINDOW_S,
             2,
             every_s,

@@ -214,9 +214,9 @@ class Computer:
         header_hz = self._source.header.rate
         if self._rate == header_hz:
             return ""
-        text = f"its header says {header_hz:g} Hz, and its samples come at {self._rate:.4g} Hz"
+        text = f"its header says {header_hz:g} Hz, but its samples come at {self._rate:.4g} Hz"
         if self._is_rate_usable:
-            return f"{text}, which is taken"
+            return f"{text}, which is used"
         low, high = at.RATES_HZ[self._source.header.content_type]
         return f"{text}; features need {low:g} to {high:g} Hz"
 
@@ -230,13 +230,19 @@ class Computer:
         parts = [self.rate_remark] if self.rate_remark else list[str]()
         if self._even_stamps is not None and self._even_stamps.pace is not None:
             rate_hz = 1 / self._even_stamps.pace.period_s
-            parts.append(f"stamped when it came, so it got even stamps, at {rate_hz:.4g} Hz")
+            parts.append(
+                f"stamped on arrival, so it was given even time stamps, at {rate_hz:.4g} Hz"
+            )
         runs = (*self._earlier, self._runs)
         if count := sum(each.steps_back for each in runs):
-            parts.append(f"its stamps stepped back {_times(count)}, where everything began again")
+            parts.append(
+                f"its time stamps stepped back {_times(count)}, and everything started again there"
+            )
         if count := sum(each.left_out for each in runs):
             samples = "1 sample was" if count == 1 else f"{count} samples were"
-            parts.append(f"{samples} left out, for stamps that did not follow the ones before")
+            parts.append(
+                f"{samples} left out, because their time stamps did not follow those before"
+            )
         return f"{self._source.name}: {'; '.join(parts)}" if parts else ""
 
 
@@ -253,7 +259,7 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
         return None  # nothing is dropped: no feature is of its type
     columns = _columns(header)
     if header.format is ChannelFormat.STRING or len(header.labels) < columns.stop:
-        message = f"stream {name!r} has no {len(columns)} channels of numbers, as {kind} needs"
+        message = f"stream {name!r} does not have {len(columns)} numeric channels, as {kind} needs"
         raise FeatureError(FeatureReason.FORMAT, message)
     _require_rate(name, header)
     scale = _scale(name, header, columns)
@@ -314,7 +320,7 @@ def _scale(name: str, header: StreamHeader, columns: range) -> float:
     unit = units.pop()
     if units or not unit:
         what = "several units" if units else "no unit"
-        message = f"stream {name!r} has {what}; say in its header what its values are in"
+        message = f"stream {name!r} has {what}; give the unit of its values in its header"
         raise FeatureError(FeatureReason.UNIT, message)
     scale = known.get(unit.lower())
     if scale is None:

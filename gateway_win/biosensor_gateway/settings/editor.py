@@ -41,9 +41,8 @@ Value = str | int | float | bool
 _DEVICE, _MARKERS = "device", "markers"
 _WIDTH = 88
 _INTRODUCTION = (
-    "Settings of the Biosensor Gateway. A line that begins with # and no space shows a key with "
-    "its default: remove the # to set it. "
-    "Passwords and client secrets do not belong here."
+    "Settings of the Biosensor Gateway. A line that starts with # and no space shows a key with "
+    "its default: remove the # to set it. Passwords and client secrets do not belong here."
 )
 
 
@@ -154,7 +153,7 @@ def _parsed(path: Path) -> tuple[tomlkit.TOMLDocument, AoT]:
         raise ConfigError(ConfigReason.MALFORMED, message) from error
     tables: object = document[_DEVICE] if _DEVICE in document else AoT([])
     if not isinstance(tables, AoT):
-        message = f"{path}: each device is a table of its own, under [[device]] in double brackets"
+        message = f"{path}: each device needs its own table, under [[device]] in double brackets"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return document, tables
 
@@ -232,7 +231,7 @@ def write_template(path: Path, device_models: Mapping[str, type[DeviceSettings]]
         with path.open("x", encoding="utf-8") as file:
             file.write(content)
     except FileExistsError:
-        message = f"{path} exists and is not overwritten; edit it, or move it away first"
+        message = f"{path} exists and is not overwritten; edit it, or move it first"
         raise ConfigError(ConfigReason.EXISTS, message) from None
     except OSError as error:
         message = cannot_write(path, error)

@@ -127,7 +127,7 @@ class _Devices:
         self.problems: list[Problem] = []
         self._models = models
         if not isinstance(entries, list):
-            text = "each device is a table of its own, under [[device]] in double brackets"
+            text = "each device needs its own table, under [[device]] in double brackets"
             self.problems.append(Problem(ConfigReason.WRONG_VALUE, (_DEVICE,), text))
             return
         for index, entry in enumerate(cast("list[object]", entries)):

@@ -36,9 +36,9 @@ def _origin(value: str) -> str:
     parts = _ORIGIN.fullmatch(value)
     if parts is None or len(value) > _MAX_ORIGIN_LENGTH:
         raise ValueError(
-            "should be where the experiment's page comes from, in small letters and without a "
-            "path, such as https://study.example.org or http://localhost:8080; or null for a "
-            "page that is opened from a file"
+            "should be the origin of the experiment's page, in lower case and without a path, such "
+            "as https://study.example.org or http://localhost:8080; or null for a page that is "
+            "opened from a file"
         )
     if parts["port"] == _IMPLIED[parts["scheme"]]:
         raise ValueError(f"should not have {parts['port']}, which browsers leave out")
@@ -55,16 +55,16 @@ class WebMarkerSettings(BaseModel):
         max_length=_MAX_ORIGINS,
         strict=False,
         examples=[["http://localhost:8080"]],
-        description="Where web experiments come from that may send markers, such as "
-        "https://study.example.org; null is a page that was opened from a file, and also one that "
-        "any site hides its name of. Without any, nothing listens. They also need the token that "
-        "this command shows: biosensor-gateway mark --web",
+        description="Origins of the web experiments that may send markers, such as "
+        "https://study.example.org; null is a page opened from a file, and also a page of "
+        "any site that hides its origin. If the list is empty, nothing listens. They also "
+        "need the token that this command shows: biosensor-gateway mark --web",
     )
     port: int = Field(
         default=USUAL_PORT,
         ge=1024,
         le=65535,
-        description="Port on this computer at which the program of the page listens for them.",
+        description="Port on this computer on which the page's program listens for them.",
     )
 
 
@@ -90,14 +90,14 @@ def _session(value: str) -> str:
 
 def _host(value: str) -> str:
     if not _HOST.fullmatch(value):
-        raise ValueError("must be a host name or an IP address")
+        raise ValueError("should be a host name or an IP address")
     return value
 
 
 def _all_different(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"should have no name twice, but has {name!r}")
+            raise ValueError(f"should not have the same name twice, but has {name!r}")
     return names
 
 
@@ -127,9 +127,9 @@ class LslSettings(BaseModel):
 
     session_id: Annotated[str, AfterValidator(_session)] = Field(
         default="",
-        description="LSL session that the streams belong to. Empty is LSL's default session; with "
-        "any other, LabRecorder and every other LSL program sees nothing until it is set to the "
-        "same session.",
+        description="LSL session that the streams belong to. Empty means LSL's default session; "
+        "with any other, LabRecorder and every other LSL program sees nothing until it is "
+        "set to the same session.",
     )
     known_peers: tuple[Annotated[str, AfterValidator(_host)], ...] = Field(
         default=(),
@@ -140,8 +140,8 @@ class LslSettings(BaseModel):
         default=DEFAULT_PORT_RANGE,
         ge=1,
         le=32768,
-        description="How many ports, from 16572, the streams of this machine may use; the "
-        "firewall must let them through.",
+        description="How many ports, from 16572, the streams of this computer may use; the "
+        "firewall must allow them.",
     )
 
     @property
@@ -178,8 +178,8 @@ class EventSettings(BaseModel):
         ge=0,
         le=3600,
         allow_inf_nan=False,
-        description="Seconds between two signs of life in the stream of events; 0 for none. A "
-        "recording without one does not tell in which state the devices were.",
+        description="Seconds between two heartbeats in the stream of events; 0 for none. A "
+        "recording without any does not show the state of the devices.",
     )
 
 
@@ -193,7 +193,7 @@ class MarkerSettings(BaseModel):
         max_length=_MAX_BUTTONS,
         strict=False,
         description="Names of the markers that can be set with one press; the first nine have the "
-        "keys 1 to 9, in this order. A change holds after: biosensor-gateway reload",
+        "keys 1 to 9, in this order. A change takes effect after: biosensor-gateway reload",
     )
     web: WebMarkerSettings = Field(
         default=WebMarkerSettings(), description="Markers that web experiments send."
@@ -207,9 +207,9 @@ class PowerSettings(BaseModel):
 
     keep_awake: bool = Field(
         default=True,
-        description="Whether the computer is kept from going to sleep by itself while a device "
-        "streams, and for a minute after. The screen may go dark. A closed lid still sends it to "
-        "sleep, and so may a long time on battery: plug it in.",
+        description="Whether to keep the computer from going to sleep automatically while a device "
+        "streams, and for a minute after. The screen may go dark. Closing the lid still "
+        "sends it to sleep, and so may a long time on battery: plug it in.",
     )
 
 
@@ -235,11 +235,10 @@ class DeviceSettings(BaseModel):
     )
     label: ShortText = Field(
         default="",
-        description="Tells two devices of a kind on one person apart, for instance left and right.",
+        description="Distinguishes two devices of one kind on one person, for instance left and "
+        "right.",
     )
-    enabled: bool = Field(
-        default=True, description="Whether the agent connects to the device at all."
-    )
+    enabled: bool = Field(default=True, description="Whether the agent connects to the device.")
 
     @property
     def sensor_name(self) -> str:

@@ -66,8 +66,8 @@ def warnings_of(folder: Path) -> tuple[str, ...]:
     """Return the warnings about a folder of recordings."""
     cloud = cloud_of(folder)
     sentence = (
-        f"{cloud} copies {folder} to other computers: what is recorded of people leaves this one, "
-        "and the file may be held while it grows. Choose a folder that stays here"
+        f"{cloud} copies {folder} to other computers: people's recordings leave this computer, "
+        "and the file may be locked while it grows. Choose a folder that is not synchronised"
     )
     return (*([sentence] if cloud else ()), *_of_mistyped(folder))
 
@@ -87,9 +87,9 @@ def _of_mistyped(folder: Path) -> Iterator[str]:
     if alike:
         names = ", ".join(each.removeprefix(_SUBJECT) for each in alike)
         yield (
-            f"{own.parent} has recordings of {names}, too, and this one is of "
-            f"{own.name.removeprefix(_SUBJECT)}: if that is one person, stop, correct the name and "
-            "record again"
+            f"{own.parent} also has recordings of {names}, and this one is of "
+            f"{own.name.removeprefix(_SUBJECT)}: if that is the same person, stop, correct the "
+            "name and record again"
         )
 
 

@@ -167,8 +167,8 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 _EXPECTED = {
-    "string_type": "should be a text in quotes",
-    "int_type": "should be a whole number",
+    "string_type": "should be text in quotes",
+    "int_type": "should be an integer",
     "float_type": "should be a number",
     "bool_type": "should be true or false",
     "tuple_type": "should be a list in square brackets",
@@ -253,7 +253,7 @@ def _finding(path: KeyPath, details: ErrorDetails, *, in_json: bool) -> str:
     said = _SUBJECT.sub("", details["msg"], count=1)
     expected = _EXPECTED.get(details["type"], said)
     if in_json and details["type"] == "tuple_type":
-        expected = 'should be a list in JSON, as in ["one", "two"]'
+        expected = 'should be a list in JSON, such as ["one", "two"]'
     separator = " " if expected.startswith("should ") else ": "
     return f"'{_dotted(path)}'{separator}{expected}{_but_is(details['input'])}"
 
@@ -306,7 +306,7 @@ def unknown_variables(model: type[BaseModel]) -> Iterator[Problem]:
         name = variable.upper()
         is_override = name.startswith(OVERRIDE_PREFIX) and OVERRIDE_DELIMITER in name
         if (is_override or name.startswith(beginnings)) and name not in known:
-            text = f"it sets nothing{did_you_mean(name, known)}"
+            text = f"no setting has this name{did_you_mean(name, known)}"
             yield Problem(ConfigReason.UNKNOWN_KEY, (), text, variable)
 
 

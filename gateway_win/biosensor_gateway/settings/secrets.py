@@ -39,7 +39,7 @@ class Secret:
         return "***"
 
     def __reduce__(self) -> str:
-        raise TypeError("a secret is not written anywhere")
+        raise TypeError("a secret is never written")
 
 
 @dataclass(frozen=True, slots=True)

@@ -242,15 +242,15 @@ class MarkerStream:
         for each in reversed(self._kept.values()):
             if not each.undone:
                 return each
-        raise ConfigError(ConfigReason.NOT_FOUND, "there is no marker that could be undone")
+        raise ConfigError(ConfigReason.NOT_FOUND, "there is no marker to undo")
 
     def _remembered(self, number: int) -> Marker:
         found = self._kept.get(number)
         if found is None:
-            message = f"there is no marker with the id {number} that could be undone"
+            message = f"there is no marker with the id {number} to undo"
             raise ConfigError(ConfigReason.NOT_FOUND, message)
         if found.undone:
-            message = f"marker {number} ({found.marker}) is undone already"
+            message = f"marker {number} ({found.marker}) is already undone"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
         return found
 
@@ -258,7 +258,9 @@ class MarkerStream:
         self, marker: str, kind: MarkerKind, happened: float, facts: Mapping[str, object]
     ) -> int:
         if self._outlet is None:
-            message = "there is no stream of markers: the agent starts or ends, or its log says why"
+            message = (
+                "there is no marker stream: the agent is starting or ending, or its log says why"
+            )
             raise TransportError(TransportReason.UNAVAILABLE, message)
         number = self._count + 1
         content = {

@@ -94,7 +94,7 @@ class Outlet:
         clock: Clock = LSL_CLOCK,
     ) -> None:
         if isinstance(stream.rate, FromDevice):
-            raise TypeError(f"stream {stream.data_name!r}: its rate must be known by now")
+            raise TypeError(f"stream {stream.data_name!r}: its rate must be known at this point")
         self._clock = clock
         self.stream = stream
         self.nominal_rate = stream.rate

@@ -69,6 +69,7 @@ class Room:
         if not left_out:
             return ""
         return (
-            f"{self._fits} streams fit, and {sum(devices.values())} are wanted; left out are "
-            f"{', '.join(left_out)}: {process_limits.reason()}; {process_limits.fix()}"
+            f"there is room for {self._fits} streams, and {sum(devices.values())} are requested; "
+            f"left out are {', '.join(left_out)}: {process_limits.reason()}; "
+            f"{process_limits.fix()}"
         )

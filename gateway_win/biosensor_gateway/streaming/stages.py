@@ -106,10 +106,11 @@ MOST_AHEAD_S, MOST_BEHIND_S = 15.0, 60.0
 RIGHT_AGAIN_S, RIGHT_WITHIN_S = 60.0, 1.0
 """Beats are believed again after so long without more of them than time."""
 _TOLD_TWICE = (
-    "intervals between beats add up to more than the time that has passed, so some are told twice"
+    "intervals between beats add up to more than the time that has passed, so some were reported "
+    "twice"
 )
 
-_SENT_TWICE = "; {} told twice before were sent"
+_SENT_TWICE = "; {} reported twice before were sent"
 
 
 _PARTS = 4

@@ -149,7 +149,7 @@ class KeepAlive:
         for restarts, delay_s in enumerate(self._delays()):
             if restarts:
                 when = f"in {delay_s:g} s" if delay_s else "now"
-                self._tell(f"the agent has died ({last_end}) and is started again {when}")
+                self._tell(f"the agent has died ({last_end}) and is restarted {when}")
             if delay_s:
                 self._wait(delay_s, last_end)
             if self._is_asked_to_end:

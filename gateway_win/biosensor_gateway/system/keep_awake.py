@@ -86,7 +86,7 @@ class ProgramInhibitor:
         assert process.stderr is not None
         if process.poll() is not None:
             lines = (process.stderr.read() or b"").decode(errors="replace").split("\n")
-            last = next((line for line in reversed(lines) if line.strip()), "it ended by itself")
+            last = next((line for line in reversed(lines) if line.strip()), "it ended unexpectedly")
             raise OSError(last.strip())
         if not self._answered:
             self._answered = bool(process.stdout.read(1))
@@ -314,14 +314,16 @@ class KeepAwake:
         try:
             inhibitor.end()
         except OSError as error:
-            _log.debug("what kept the computer awake did not end well", error=str(error))
+            _log.debug(
+                "the process that kept the computer awake ended with an error", error=str(error)
+            )
 
     def _warn(self, inhibitor: Inhibitor, error: OSError) -> None:
         if not self._warned:
             self._warned = True
             _log.warning(
-                "the computer may go to sleep while a device streams; "
-                "switch its automatic sleep off in the settings of the system",
+                "the computer may go to sleep while a device streams; switch off automatic sleep "
+                "in the system's settings",
                 way=inhibitor.way,
                 error=str(error),
             )
@@ -333,7 +335,7 @@ def system_inhibitor(platform: str = sys.platform) -> Inhibitor | None:
         return WindowsInhibitor(f"{_WHO}: {_WHY}")
     inhibitor = _caffeinate() if platform == "darwin" else _systemd_inhibit()
     if inhibitor is None:
-        _log.debug("nothing on this computer can hold off its sleep")
+        _log.debug("nothing on this computer can prevent sleep")
     return inhibitor
 
 

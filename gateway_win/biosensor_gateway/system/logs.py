@@ -88,7 +88,7 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
         was_held, self._is_held = self._is_held, self.writer.held_for_s > HELD_AFTER_S
         if self._is_held and not was_held:
             _log.warning(
-                f"the {self.writer.name} takes no output; streaming continues, and lines that "
+                f"the {self.writer.name} accepts no output; streaming continues, and lines that "
                 "do not fit are left out there"
             )
         return handled
@@ -414,8 +414,8 @@ def _file_handler(folder: Path, max_bytes: int, keep_files: int) -> QueuedHandle
         handler = file_handler(_FILE, path, max_bytes, keep_files)
     except OSError as error:
         message = (
-            f"cannot write the log file in {folder}: {error.strerror or error}; let "
-            f"{STATE_VARIABLE} name a folder that can be written"
+            f"cannot write the log file in {folder}: {error.strerror or error}; set "
+            f"{STATE_VARIABLE} to a folder that can be written"
         )
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     renderer = structlog.processors.JSONRenderer()

@@ -76,7 +76,7 @@ def temporary_disk(raised: Callable[[str], GatewayError]) -> Generator[None]:
         with suppress(OSError):  # there may be no folder for them at all
             place = f" to {tempfile.gettempdir()}"
         told = cannot_write(f"temporary files{place}", error)
-        raise raised(f"{told}; the variable TMPDIR (on Windows TEMP) says where") from error
+        raise raised(f"{told}; the variable TMPDIR (on Windows TEMP) names the folder") from error
 
 
 @contextmanager

@@ -48,8 +48,8 @@ class RestartNotice(NamedTuple):
         """The notice as a sentence for people."""
         left_s = max(0.0, self.at - time.time())
         return (
-            f"no agent is running: it has died ({self.last_end}) and is started again in "
-            f"{left_s:.0f} s; if it should not be: biosensor-gateway stop"
+            f"no agent is running: it has died ({self.last_end}) and is restarted in "
+            f"{left_s:.0f} s; to prevent that: biosensor-gateway stop"
         )
 
 

@@ -39,7 +39,7 @@ def watch(stop: Callable[[], None], *, before_others: bool = False) -> None:
     """
     assert sys.platform == "win32"
     if before_others and not _kernel32().SetProcessShutdownParameters(_NOTIFIED_FIRST, 0):
-        _log.debug("not told of the session's end before others", error=ctypes.get_last_error())
+        _log.debug("not notified of the session's end before others", error=ctypes.get_last_error())
 
     def stop_and_wait_for_exit() -> None:
         stop()

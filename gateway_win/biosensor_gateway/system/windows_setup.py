@@ -91,7 +91,7 @@ if sys.platform == "win32":
             raise NoUserError(f"Windows does not know the account {account}")
         text = ctypes.c_wchar_p()
         if not library.ConvertSidToStringSidW(sid, ctypes.byref(text)):
-            raise NoUserError(f"Windows does not tell the identifier of {account}")
+            raise NoUserError(f"Windows does not give the identifier of {account}")
         found = text.value or ""
         ctypes.WinDLL("kernel32").LocalFree(text)
         return found
@@ -117,7 +117,7 @@ if sys.platform == "win32":
                 winreg.DeleteValue(key, ENTRY)
 
 else:
-    _REFUSED = "only Windows keeps in a registry what starts at logon"
+    _REFUSED = "only Windows has a registry of programs that start at logon"
 
     def user_of_session() -> str:
         """Refuse: only Windows has such users."""
@@ -226,4 +226,4 @@ else:
 
     def _edit(folder: str, *, present: bool) -> None:
         del folder, present
-        raise OSError("only Windows keeps the PATH of its users in a registry")
+        raise OSError("only Windows keeps users' PATH in a registry")

@@ -59,15 +59,15 @@ def _taken() -> set[str]:
 def _name(value: str) -> str:
     if value and (not is_data_name(value) or value in _taken()):
         raise ValueError(
-            "should be lower-case letters, digits and single _ , as in lab_cyton, and no other "
-            "sensor's name"
+            "should be lower-case letters, digits and single _ , such as lab_cyton, and not "
+            "another sensor's name"
         )
     return value
 
 
 def _board(value: str) -> str:
     if not (value.isascii() and value.isupper() and is_data_name(value.lower())):
-        raise ValueError("should be BrainFlow's name of the board, as in CYTON_BOARD")
+        raise ValueError("should be BrainFlow's name of the board, such as CYTON_BOARD")
     return value
 
 

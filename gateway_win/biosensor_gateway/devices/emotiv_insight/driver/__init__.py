@@ -97,7 +97,7 @@ class EmotivInsightSettings(DeviceSettings):
     def _check_url(cls, url: str, info: ValidationInfo) -> str:
         parts = urlsplit(url)
         if parts.scheme != "wss" or not parts.hostname or parts.username is not None:
-            raise ValueError(f"should be like {DEFAULT_URL}")
+            raise ValueError(f"should look like {DEFAULT_URL}")
         if not (info.data.get("allow_remote") or is_loopback(parts.hostname)):
             raise ValueError("should be this computer, unless allow_remote is true")
         return url

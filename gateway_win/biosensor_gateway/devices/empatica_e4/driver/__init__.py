@@ -201,7 +201,7 @@ class E4Driver:
             says = "no longer sends anything"
             if error.reason is not ProtocolReason.NO_REPLY:
                 says = f"gives no data of wristband {self._device}; is it still on?"
-            message = f"{self._where}: it {says}; the connection is started again"
+            message = f"{self._where}: it {says}; the connection is restarted"
             raise TransportError(TransportReason.SILENT, message) from error
 
     async def close(self) -> None:

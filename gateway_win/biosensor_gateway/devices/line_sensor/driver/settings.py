@@ -33,8 +33,8 @@ def _name(value: str) -> str:
     taken = {AGENT, NODE, *registry.sensor_names()} - {NAME}
     if value and (not is_data_name(value) or value in taken):
         raise ValueError(
-            "should be lower-case letters, digits and single _ , as in chest_strap, and no other "
-            "sensor's name"
+            "should be lower-case letters, digits and single _ , such as chest_strap, and not "
+            "another sensor's name"
         )
     return value
 
@@ -53,7 +53,7 @@ def _url(value: str | None) -> str | None:
     except ValueError:
         is_whole = False
     if not is_whole:
-        raise ValueError("should be ws://HOST:NUMBER or wss://HOST:NUMBER, with a path if need be")
+        raise ValueError("should be ws://HOST:NUMBER or wss://HOST:NUMBER, with a path if needed")
     return value
 
 
@@ -61,7 +61,7 @@ def _hex(value: str) -> str:
     try:
         bytes.fromhex(value)
     except ValueError:
-        raise ValueError("should be hex digits, two for each byte, as in aa55") from None
+        raise ValueError("should be hex digits, two for each byte, such as aa55") from None
     return value
 
 

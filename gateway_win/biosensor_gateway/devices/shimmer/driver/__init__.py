@@ -352,7 +352,7 @@ class Shimmer3Settings(DeviceSettings):
         for name in names:
             if name not in SENSORS:
                 known = ", ".join(SENSORS)
-                raise ValueError(f"should be {AS_IT_IS}, or of {known}, but has {name!r}")
+                raise ValueError(f"should be {AS_IT_IS}, or names from {known}, but has {name!r}")
         if names >= set(Use):
             raise ValueError("should have ecg or emg, which need the same chips, but has both")
         return text
