@@ -41,7 +41,7 @@ def strap(patch: pytest.MonkeyPatch) -> Device:
 
 def told() -> Refusals:
     refusals = Refusals(clock=local_clock)
-    why = "its time stamps stepped back once"
+    why = "its timestamps stepped back once"
     refusals.refuse(Refusal.STAMPS_LEFT_OUT, 3, about="P01-polar_h10-A1-ecg", why=why)
     refusals.refuse(Refusal.NO_FEATURES, about="Pleth", why="stream 'Pleth' has no unit")
     return refusals
@@ -55,7 +55,7 @@ def test_it_stands_with_its_stream_or_with_the_agent(
     status = snapshot([device], features=feature_refusals.read(tmp_path))
     streams = status.devices[0].streams
     (of_stream,) = streams["P01@polar_h10-ecg"].refusals
-    assert of_stream.sentence == "its live features: its time stamps stepped back once"
+    assert of_stream.sentence == "its live features: its timestamps stepped back once"
     assert (of_stream.what, of_stream.level, of_stream.now) == ("stamps_left_out", "warn", True)
     (of_agent,) = status.refusals
     assert of_agent.sentence == "live features of Pleth: stream 'Pleth' has no unit"
@@ -68,7 +68,7 @@ def test_a_recording_is_amber_with_what_heartbeats_tell_of_it(
     device = strap(monkeypatch)
     features = feature_refusals.read(tmp_path)
     problems = problems_of({"polar_h10/A1": device}, Refusals(), features, LATELY_S)
-    stepped = "live features of P01-polar_h10-A1-ecg: its time stamps stepped back once"
+    stepped = "live features of P01-polar_h10-A1-ecg: its timestamps stepped back once"
     (of_device,) = problems["polar_h10/A1"]
     # It has passed, and a recording that begins later does not tell of it.
     assert of_device == {"what": stepped, "last": features[0].last_s}

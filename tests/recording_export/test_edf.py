@@ -176,7 +176,7 @@ def test_no_measured_value_is_what_stands_in_a_gap(exported: Exporting) -> None:
 @pytest.mark.parametrize(
     ("is_even", "options", "said"),
     [
-        (True, [], "taken as 10 Hz, the rate of a line through its time stamps"),
+        (True, [], "taken as 10 Hz, the rate of a line through its timestamps"),
         (True, ["--rate", "b=5"], "--rate b: no stream without a rate"),
         (False, ["--rate", "8"], "taken as about 8 Hz, as --rate says"),
         (False, ["--rate", "b=5", "--rate", "a=8"], "taken as about 8 Hz, as --rate says"),

@@ -184,7 +184,7 @@ def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) ->
     (place,) = outcome.places
     assert (place.begin_s, place.end_s) == (1.5, 9.5)
     assert table(outcome) == [("a", "11", "at least 15")]
-    assert "a: the time stamps after 1 of the damages" in "\n".join(after_table(outcome))
+    assert "a: the timestamps after 1 of the damages" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
@@ -211,7 +211,7 @@ def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
     ]
     outcome, file, _ = salvaged(made.xdf(*parts), tmp_path)
     assert len(rows(file)["a"]) == 3
-    assert "a: 2 samples after damaged bytes have no time stamp" in "\n".join(after_table(outcome))
+    assert "a: 2 samples after damaged bytes have no timestamp" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> None:

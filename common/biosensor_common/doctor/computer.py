@@ -247,7 +247,7 @@ def _chrony(said: Tracking) -> Finding:
 def _adapter_only() -> Finding:
     return note(
         "ptp4l runs, but phc2sys does not, and the time of day is not synchronised",
-        "With time stamps of the hardware, ptp4l sets the clock of the network adapter only. "
+        "With timestamps of the hardware, ptp4l sets the clock of the network adapter only. "
         + _WHY_TIME,
         "sudo phc2sys -a -r (as a service: sudo systemctl enable --now phc2sys@eth0)",
     )

@@ -243,7 +243,7 @@ async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Repo
             for stream in report.streams.values():
                 stream.ages_s.clear()
             report.notes.append(
-                "its time of arrival is not known, so its time stamps cannot be judged"
+                "its time of arrival is not known, so its timestamps cannot be judged"
             )
         report.seconds = clock() - begun_s
         if not is_played:

@@ -179,8 +179,7 @@ def _print(path: Path, capture: Capture, report: Report) -> None:
             say("ms: from the stamp of a packet's last sample to its arrival.")
     if report.reanchors:
         say(
-            f"! the device's clock jumped {report.reanchors} times; its time stamps were "
-            "re-anchored"
+            f"! the device's clock jumped {report.reanchors} times; its timestamps were re-anchored"
         )
     for sentence in (*report.sentences, *report.problems, *report.notes):
         say(f"! {sentence}")

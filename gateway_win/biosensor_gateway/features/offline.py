@@ -102,8 +102,8 @@ def compute(path: Path, target: Path) -> Computed:
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
         read = [each for parts, _ in pairs for each in parts]
         remarks += [
-            f"{each.header.title}: {each.untimed} samples are left out, because their time "
-            "stamps are not numbers"
+            f"{each.header.title}: {each.untimed} samples are left out, because their timestamps "
+            "are not numbers"
             for each in read
             if each.untimed
         ]

@@ -231,17 +231,17 @@ class Computer:
         if self._even_stamps is not None and self._even_stamps.pace is not None:
             rate_hz = 1 / self._even_stamps.pace.period_s
             parts.append(
-                f"stamped on arrival, so it was given even time stamps, at {rate_hz:.4g} Hz"
+                f"stamped on arrival, so it was given even timestamps, at {rate_hz:.4g} Hz"
             )
         runs = (*self._earlier, self._runs)
         if count := sum(each.steps_back for each in runs):
             parts.append(
-                f"its time stamps stepped back {_times(count)}, and everything started again there"
+                f"its timestamps stepped back {_times(count)}, and everything started again there"
             )
         if count := sum(each.left_out for each in runs):
             samples = "1 sample was" if count == 1 else f"{count} samples were"
             parts.append(
-                f"{samples} left out, because their time stamps did not follow those before"
+                f"{samples} left out, because their timestamps did not follow those before"
             )
         return f"{self._source.name}: {'; '.join(parts)}" if parts else ""
 

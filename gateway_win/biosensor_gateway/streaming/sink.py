@@ -353,7 +353,7 @@ class DeviceSink:
     def _say_jumps(self, jumps: Jumps) -> None:
         if jumps.cause != DEVICE_RESTARTED or jumps.times > 1:
             self._log.warning(  # nothing is dropped: stamps are told again
-                "the device's clock jumped; its time stamps were re-anchored",
+                "the device's clock jumped; its timestamps were re-anchored",
                 cause=jumps.cause,
                 **({} if jumps.seconds is None else {"seconds": round(jumps.seconds, 3)}),
                 **({} if jumps.times == 1 else {"times": jumps.times}),

@@ -139,7 +139,7 @@ def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list
         found.append(stream.with_rate(true_hz))
         notes.append(
             f"{stream.header.title}: its header says {nominal_hz:g} Hz; it is treated as "
-            f"{true_hz:.6g} Hz, the rate of a line through its time stamps"
+            f"{true_hz:.6g} Hz, the rate of a line through its timestamps"
         )
     return tuple(found), notes
 
@@ -188,7 +188,7 @@ def with_rates(
         taken = (
             f"about {rate_hz:.6g} Hz, as --rate says"
             if known
-            else f"{rate_hz:.6g} Hz, the rate of a line through its time stamps"
+            else f"{rate_hz:.6g} Hz, the rate of a line through its timestamps"
         )
         notes.append(f"{name}: its header names no rate; it is treated as {taken}")
     without = [each for each in streams if not each.header.is_regular]

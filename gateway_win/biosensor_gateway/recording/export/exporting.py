@@ -209,8 +209,7 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
             yield Missing(
-                f"{each.header.title}: {samples} left out, because their time stamps are not "
-                "numbers"
+                f"{each.header.title}: {samples} left out, because their timestamps are not numbers"
             )
         if each.clock.unused:
             yield f"{each.header.title}: {each.clock.unused}"

@@ -253,7 +253,7 @@ class Runs:
             told = ", ".join(list(rates)[:_MOST_RATES]) + (
                 ", ..." if len(rates) > _MOST_RATES else ""
             )
-            yield f"its rate is {told} Hz, the rate of a line through its time stamps"
+            yield f"its rate is {told} Hz, the rate of a line through its timestamps"
         lost = [run.lost for each in files for run in each.runs if run.lost]
         inside = sum(rows > 0 for each in files for rows in each.empty)
         if lost:

@@ -137,7 +137,7 @@ def _entries(text: str) -> dict[str, Reading]:
         for source_id, entry in content.items()
     }
     if not all(np.isfinite(reading.last_stamp) for reading in entries.values()):
-        raise ValueError("a time stamp is not a number")
+        raise ValueError("a timestamp is not a number")
     return entries
 
 

@@ -217,8 +217,8 @@ def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterat
             )
             more = f" and {times - _MOST_SPELLS} more times" if times > _MOST_SPELLS else ""
             text = (
-                f"the time stamps of {_named(device)} jumped {said}{more}: those just before "
-                "were wrong"
+                f"the timestamps of {_named(device)} jumped {said}{more}: those just before were "
+                "wrong"
             )
             yield Finding(Level.WARNING, "clock-jumped", "", text)
 

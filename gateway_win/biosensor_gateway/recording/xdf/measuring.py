@@ -469,14 +469,14 @@ def clock_error(
         early_s = 0.0 if header.may_be_older else min(times) - last
         error_s = max(first - max(times), early_s)
         if error_s > MAX_STAMP_ERROR_S:
-            return f"its time stamps are {seconds_text(error_s)} away from the LSL clock{unix}"
+            return f"its timestamps are {seconds_text(error_s)} away from the LSL clock{unix}"
         return ""
     since = header.created_at if math.isfinite(header.created_at) else 0.0
     if last < since - MAX_STAMP_ERROR_S:
-        return f"its time stamps are {seconds_text(since - last)} older than the stream itself"
+        return f"its timestamps are {seconds_text(since - last)} older than the stream itself"
     if unix or first - since > MAX_UPTIME_S:
         away = seconds_text(first - since)
-        return f"its time stamps are {away} away from the creation of the stream{unix}"
+        return f"its timestamps are {away} away from the creation of the stream{unix}"
     return ""
 
 
@@ -544,7 +544,7 @@ def order_error(header: RecordedHeader, course: Course, sample_count: int) -> st
         return "its stamps decrease from sample to sample"
     # Stamps of a clock that was set step back now and then, those of no clock all the time.
     if course.far_back > max(3, steps / 8):
-        return "its time stamps are in no order"
+        return "its timestamps are in no order"
     return ""
 
 

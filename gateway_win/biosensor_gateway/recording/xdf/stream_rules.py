@@ -226,7 +226,7 @@ def _held_up(length_s: float, at: float) -> Verdict:
     if length_s < HELD_UP_S:
         return Level.NOTE, "held-up", f"{text}; this loses nothing"
     late = (
-        "streams without a clock, such as a heart rate, may have time stamps that are late by as "
+        "streams without a clock, such as a heart rate, may have timestamps that are late by as "
         "much"
     )
     return Level.WARNING, "held-up", f"{text}; {late}"
@@ -269,7 +269,7 @@ def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         told = "; ".join(each.text(extent.begin) for each in spans[:_MOST_SPANS])
         text = f"its sender's clock was restarted or set {times}; "
         text += (
-            told or "its time stamps show which samples came before and after, so times are right"
+            told or "its timestamps show which samples came before and after, so times are right"
         )
         yield Level.WARNING, "clock-reset", text
     if unused := SenderClock(measured.stream.clock_offsets).unused:

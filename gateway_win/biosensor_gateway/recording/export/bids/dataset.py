@@ -334,7 +334,7 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
         yield f"no samples, so no table: {_listed(remarks.without_samples)}"
     if remarks.without_table:
         yield Missing(
-            "time stamps fit no rate, so no table of equal steps; csv has them: "
+            "timestamps fit no rate, so no table of equal steps; csv has them: "
             f"{_listed(remarks.without_table)}"
         )
     if remarks.cut:
@@ -359,7 +359,7 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
             f"{_listed(remarks.moved)}"
         )
     if remarks.unplaced:
-        yield Missing(f"{remarks.unplaced} samples have time stamps of no clock and were left out")
+        yield Missing(f"{remarks.unplaced} samples have timestamps of no clock and were left out")
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -372,7 +372,7 @@ def _member(
         return None
     why = stream.clock_error or ("its time steps back" if len(timing.parts) > 1 else "")
     if not why and timing.rows > _MOST_ROWS:
-        why = "its time stamps are too far apart"
+        why = "its timestamps are too far apart"
     if why:
         told = f"{stream.header.title}: in no wide table, because {why}; its own table contains it"
         notes.append(Missing(told))

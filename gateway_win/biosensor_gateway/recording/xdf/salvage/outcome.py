@@ -392,16 +392,16 @@ def _stamps_text(stream: KeptStream) -> Iterator[str]:
     name = printable(stream.header.title)
     if stream.cut is not None:
         yield (
-            f"{name}: its last sample was cut off, because its time stamp is wrong: the outlet "
+            f"{name}: its last sample was cut off, because its timestamp is wrong: the outlet "
             "closed while it was recorded"
         )
     if stream.restamps:
         yield (
-            f"{name}: the time stamps after {len(stream.restamps)} of the damaged places are "
+            f"{name}: the timestamps after {len(stream.restamps)} of the damaged places are "
             "calculated from the next one that could be read"
         )
     if stream.untimed:
         yield (
-            f"{name}: {stream.untimed} samples after damaged bytes have no time stamp, so they "
+            f"{name}: {stream.untimed} samples after damaged bytes have no timestamp, so they "
             "may be later than stated"
         )
