@@ -185,8 +185,8 @@ async def test_a_device_that_is_away_is_not_replaced_by_its_namesake(
             assert f"({namesake.address}); press its button, or set `device`" in str(error)
     (warning,) = [each["event"] for each in logs if each["log_level"] == "warning"]
     assert warning == (
-        f"another device answers to {device or 1} ({NAME} {namesake.address}); it is not taken in "
-        f"place of the one that was connected ({probe.address})"
+        f"another device also matches {device or 1} ({NAME} {namesake.address}); it is not used "
+        f"instead of the one that was connected ({probe.address})"
     )
     probe.restore()
     again = BleLink(chosen)

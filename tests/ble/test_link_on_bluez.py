@@ -34,7 +34,7 @@ async def test_a_daemon_that_dies_shows_in_the_next_request(
     bluez.die()
     error = await refusal(link.read(SERIAL))
     assert error.reason is TransportReason.LOST
-    assert "the Bluetooth system of this computer fails" in str(error)
+    assert "this computer's Bluetooth system fails" in str(error)
     await link.close()
     again = BleLink(choice("1"))
     assert (await refusal(again.open())).reason is TransportReason.UNAVAILABLE
@@ -96,7 +96,7 @@ async def test_it_is_taken_once(link: BleLink) -> None:
     first = BleLink(chosen)
     await first.open()
     error = await absence(BleLink(chosen))
-    assert "is connected to this computer already" in str(error)
+    assert "is already connected to this computer" in str(error)
     assert await first.read(SERIAL) == b"0815"
     await first.close()
 
@@ -156,7 +156,7 @@ async def test_a_device_that_a_program_listens_to_is_named_and_not_taken(
     listener: subprocess.Popen[str], probe: Probe, device: str
 ) -> None:
     error = await absence(BleLink(choice(device)))
-    assert "is connected to this computer already; end the program that uses it" in str(error)
+    assert "is already connected to this computer; end the program that uses it" in str(error)
     assert str(error).endswith(f"free it: bluetoothctl disconnect {probe.address}")
     (known,) = await known_devices()
     assert (known.is_connected, known.is_listened_to) == (True, True)

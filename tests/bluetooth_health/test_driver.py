@@ -116,7 +116,7 @@ async def test_an_oximeter_with_spot_checks_alone_is_told_from_others(
         return uuid == SPOT_CHECK
 
     monkeypatch.setattr(BleLink, "has", has)
-    with pytest.raises(ProtocolError, match="has only spot checks"):
+    with pytest.raises(ProtocolError, match="makes only spot checks"):
         async with connected(device):
             pass
 

@@ -294,7 +294,7 @@ class TestOneSentenceSays:
 
     async def test_that_brainflow_does_not_get_the_board(self) -> None:
         said = str(await self._refused(board="CYTON_BOARD", serial_port="/dev/nothing"))
-        assert said.startswith("BrainFlow does not get CYTON_BOARD: UNABLE_TO_OPEN_PORT_ERROR")
+        assert said.startswith("BrainFlow cannot open CYTON_BOARD: UNABLE_TO_OPEN_PORT_ERROR")
 
     async def test_that_the_rate_is_another(self) -> None:
         with capture_logs() as logs:

@@ -49,7 +49,7 @@ def typed(monkeypatch: pytest.MonkeyPatch, device: Capture, tmp_path: Path) -> l
 
     async def take(settings: DeviceSettings, seconds: float) -> Taken:
         assert (settings.sensor, seconds) == ("zephyr", 5.0)
-        return Taken(device, replaced, DeviceTest(problems=["hr: no sample came"]))
+        return Taken(device, replaced, DeviceTest(problems=["hr: no sample arrived"]))
 
     def answer(_question: str) -> str:
         return answers.pop()
@@ -93,7 +93,7 @@ def test_who_agrees_gets_a_file_with_consent_and_note(
     # What leaves, what was replaced, and what that means, before the question.
     assert f"{SECRET} became" in told
     assert "fingerprint" in told
-    assert "hr: no sample came" in told
+    assert "hr: no sample arrived" in told
     assert "Nothing was sent" in told
 
 

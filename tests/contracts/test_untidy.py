@@ -299,7 +299,7 @@ async def test_a_sensor_that_is_not_as_fast_as_declared_is_said_and_has_its_time
     async with streaming(device) as run:
         await until(run.sink.has(COUNT, *measured(device)[:1]))
         device.apply(Fault(kind, percent))
-        await until(lambda: "times a second, and its header says" in run.error)
+        await until(lambda: "times per second, but its header says" in run.error)
         # What was stamped ahead of its time has to be caught up with.
         begin_s = run.sink.clock() + SETTLED_S / 2
         await asyncio.sleep(1.5 * SETTLED_S)

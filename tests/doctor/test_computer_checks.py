@@ -103,13 +103,13 @@ def test_a_firewall_of_linux_is_named_with_its_command(
 def test_sleep_of_the_desktop(examine: Examine, context: Context, install: Install) -> None:
     install("systemctl", "echo static")
     install("gsettings", "echo \"'suspend'\"")
-    note = only(examine(context, "power"), "goes to sleep when nobody uses it")
+    note = only(examine(context, "power"), "goes to sleep when it is idle")
     assert note.level is Level.NOTE
     assert note.fix.startswith("gsettings set ")
     warned = only(examine(replace(context, keep_awake=False), "power"), "goes to sleep")
     assert warned.level is Level.WARNING
     install("systemctl", "echo masked")
-    assert only(examine(context, "power"), "nothing is known to send")
+    assert only(examine(context, "power"), "no setting is known that sends")
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_computer_whose_sleep_is_masked_stays_awake(
     monkeypatch.setattr(sys, "platform", "linux")
     found = [each.what for each in devices.power(context)]
     assert any("this computer goes to sleep" in each for each in found) is goes
-    assert any("nothing is known to send" in each for each in found) is not goes
+    assert any("no setting is known that sends" in each for each in found) is not goes
 
 
 @pytest.mark.parametrize("error", [FileNotFoundError, AttributeError])

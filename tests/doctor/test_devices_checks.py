@@ -154,7 +154,7 @@ def test_a_port_of_a_group_that_the_user_is_not_in() -> None:
         Path(folder).chmod(0o755)
         level, what, fix = _as_nobody(path).split("|")
     assert level == "error"
-    assert "may not be opened by you" in what
+    assert "you do not have permission to open" in what
     assert fix == 'sudo usermod -aG dialout "$USER", then log out and in'
 
 
@@ -197,7 +197,7 @@ def test_cortex_with_its_certificate_and_without(
         untrusted = examine(configured(CORTEX.format(url, "")), "services")
         no_file = examine(configured(CORTEX.format(url, "/no/such.pem")), "services")
     assert only(good, "answers with a trusted certificate").level is Level.OK
-    assert only(untrusted, "not with a certificate").level is Level.ERROR
+    assert only(untrusted, "its certificate is not trusted").level is Level.ERROR
     assert only(no_file, "/no/such.pem").level is Level.ERROR
 
 

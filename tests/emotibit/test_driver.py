@@ -55,8 +55,8 @@ async def test_the_firmware_with_a_fast_pulse_is_read(emotibit: MakeEmotiBit) ->
 @pytest.mark.parametrize(
     ("ppg_hz", "ppg_rate", "sentence"),
     [
-        (100.0, 25, "100 times a second, and its setting `ppg_rate` is 25; set `ppg_rate = 100`"),
-        (25.0, 100, "25 times a second, and its setting `ppg_rate` is 100; set `ppg_rate = 25`"),
+        (100.0, 25, "100 times per second, but its setting `ppg_rate` is 25; set `ppg_rate = 100`"),
+        (25.0, 100, "25 times per second, but its setting `ppg_rate` is 100; set `ppg_rate = 25`"),
         (50.0, 100, r"5\d times a second, .* `ppg_rate` is 100; install a firmware that has 25 or"),
     ],
 )
@@ -123,7 +123,7 @@ async def test_a_device_that_cannot_reach_this_computer_is_told(
 ) -> None:
     monkeypatch.setattr(link_module, "CONNECT_LIMIT_S", 0.2)
     monkeypatch.setattr("biosensor_gateway.devices.emotibit.simulator.rounds.CONNECT", "??")
-    with pytest.raises(ProtocolError, match="does a firewall of this computer refuse it"):
+    with pytest.raises(ProtocolError, match="does a firewall on this computer block it"):
         async with connected(emotibit()):
             pass
 

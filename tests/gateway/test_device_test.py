@@ -239,7 +239,7 @@ def test_what_is_too_slow_or_does_not_come_is_told(
 
     configure({"sensor": "zephyr", "unit": "U1", "port": "x"})
     acting(half_as_fast)
-    expected = ["ecg: 125.0 samples a second instead of 250", "breathing: no sample came"]
+    expected = ["ecg: 125.0 samples a second instead of 250", "breathing: no sample arrived"]
     assert problems(run("test", "zephyr", "--seconds", "1")) == expected
     told = json.loads(run("test", "zephyr", "--seconds", "1", "--json").out)
     assert told["problems"] == expected

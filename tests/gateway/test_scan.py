@@ -148,8 +148,8 @@ def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: 
         outcome = run("scan", "--seconds", "2")
     assert all(f'device = "{each}"' in outcome.out for each in addresses)
     assert (
-        f"  2 are called {name}: only the address under `device` tells them apart. Hold one to "
-        "this computer and scan again: the nearest comes first.\n"
+        f"  2 are called {name}: only the address under `device` distinguishes them. Hold one "
+        "close to this computer and scan again: the nearest comes first.\n"
     ) in outcome.out
 
 
@@ -158,7 +158,7 @@ def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
     strap = Found("any", "Strap", {"unit": "1", "device": identifier})
     address = Found("any", "Strap", {"unit": "2", "device": "C8:25:00:00:00:01"})
     (sentence,) = search.advice(search.Section(BLUETOOTH, (strap,)))
-    assert sentence.startswith("macOS shows identifiers in place of addresses: another computer")
+    assert sentence.startswith("macOS shows identifiers instead of addresses: another computer")
     assert search.advice(search.Section(BLUETOOTH, (address,))) == []
 
 

@@ -75,13 +75,13 @@ async def refusal(settings: dict[str, Any]) -> str:
 @pytest.mark.parametrize(
     ("said", "fields", "words"),
     [
-        (b"1;2\n", {}, "the line '1;2' has 1 value between commas, and columns names 2; it has as"),
-        (b"1,2,3\n", {}, "the line '1,2,3' has 3 values between commas, and columns names 2"),
-        (b"1,a\n", {}, "the line '1,a' has 'a' in column y, no number"),
-        (b"\x80\xfe\x90\n", {}, "is no text; is baud_rate = 115200 what the device has?"),
+        (b"1;2\n", {}, "the line '1;2' has 1 value between commas, but columns names 2; it has as"),
+        (b"1,2,3\n", {}, "the line '1,2,3' has 3 values between commas, but columns names 2"),
+        (b"1,a\n", {}, "the line '1,a' has 'a' in column y, which is not a number"),
+        (b"\x80\xfe\x90\n", {}, "is no text; does the device use baud_rate = 115200?"),
         (b'{"a":1}\n', {"format": "json"}, "has no key x, y; its keys are 'a'"),
-        (b"12", {}, "bytes came without the end of a line"),
-        (b"", {}, "nothing came for"),
+        (b"12", {}, "bytes came without a line end"),
+        (b"", {}, "nothing arrived for"),
     ],
 )
 async def test_lines_that_do_not_fit_are_told_with_one_of_them(
@@ -118,8 +118,7 @@ async def test_a_udp_port_that_somebody_has_is_said(world: World) -> None:
         number = taken.getsockname()[1]
         sentence = await refusal({"udp_port": number})
     assert sentence == (
-        f"UDP port {number}: another program, or another device, has it; choose another number "
-        "for both"
+        f"UDP port {number}: another program or device uses it; choose another number for both"
     )
 
 
@@ -176,7 +175,7 @@ async def test_when_the_app_ends_the_values_they_are_asked_for_again(world: Worl
         async with streaming(device) as run:
             await until(run.sink.has(10, "acc"))
             world.call(device.app.end_values)
-            await until(lambda: "has ended the values of Chest" in run.error)
+            await until(lambda: "has stopped sending Chest" in run.error)
             await run.goes_on(10, "acc")
         assert run.supervisor.connections == 2
 
@@ -188,7 +187,7 @@ async def test_when_the_app_ends_the_values_they_are_asked_for_again(world: Worl
         ({}, {"openearable_wearable": "Other"}, "only OpenEarable-0001 is connected to it"),
         ({"wearables": ("A", "B")}, {}, "A, B are connected to it; set openearable_wearable to"),
         ({}, {"openearable_sensor": "Arm"}, "has no sensor Arm; it has Chest"),
-        ({"exponent": -9}, {}, "the time of Chest is in ns, and columns says [us]"),
+        ({"exponent": -9}, {}, "the time of Chest is in ns, but columns says [us]"),
     ],
 )
 async def test_what_the_app_does_not_have_is_told(

@@ -127,10 +127,10 @@ def test_decimal_commas_are_read_where_they_separate_nothing() -> None:
 @pytest.mark.parametrize(
     ("data", "fields", "flaw", "words"),
     [
-        (b"1,2,3\n", {}, Flaw.COUNT, "has 3 values between commas, and columns names 2"),
+        (b"1,2,3\n", {}, Flaw.COUNT, "has 3 values between commas, but columns names 2"),
         (b"1;2\n", {}, Flaw.COUNT, 'it has as many with separator = "semicolon"'),
         (b'{"x":1,"y":2,"z":3}\n', {}, Flaw.COUNT, 'it looks like format = "json"'),
-        (b"1,one\n", {}, Flaw.NOT_A_NUMBER, "has 'one' in column y, no number"),
+        (b"1,one\n", {}, Flaw.NOT_A_NUMBER, "has 'one' in column y, which is not a number"),
         (b"1,1_0\n", {}, Flaw.NOT_A_NUMBER, "in column y"),
         (b"1,\xc3\xa9\n", {}, Flaw.NOT_TEXT, "is no text"),
         (b"1" * 5000 + b"\n", {}, Flaw.TOO_LONG, "is longer than 4096"),

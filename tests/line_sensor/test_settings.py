@@ -72,12 +72,12 @@ def test_a_column_is_stream_label_and_unit(text: str, expected: tuple[str, str, 
         ('columns = ["Acc/x"]', "not a lower-case ROS name"),
         ('columns = ["x"]\nsequence_column = "n"', "sequence_column is 'n'"),
         ('columns = ["t [us]", "x"]\nopenearable_sensor = "A"', "the OpenEarable app needs url"),
-        ('columns = ["x"]\nopenearable_wearable = "A"', "set openearable_sensor, too"),
+        ('columns = ["x"]\nopenearable_wearable = "A"', "also set openearable_sensor"),
         ('columns = ["t", "x"]\ntime_column = "t"', "the time has none of the units ns, us, ms, s"),
-        ('columns = ["n"]\nsequence_column = "n"', "no channel besides"),
+        ('columns = ["n"]\nsequence_column = "n"', "no channel other than"),
         ('columns = ["x"]\nname = "zephyr"', "not another sensor's name"),
         ('columns = ["x"]\nname = "Arm"', "lower-case letters"),
-        ('columns = ["x"]\nirregular = ["y"]', "irregular has y, and the streams are data"),
+        ('columns = ["x"]\nirregular = ["y"]', "irregular has y, but the streams are data"),
         ('columns = ["x"]\nformat = "struct"\nstruct_format = "<z"', "is not a format"),
         ('columns = ["x"]\nformat = "struct"\nstruct_format = "<hh"', "has 2 values"),
         ('columns = ["x"]\nframe_start = "5"', "should be hex digits"),
@@ -130,7 +130,7 @@ def test_ways_that_a_format_does_not_have() -> None:
 
 def test_the_values_of_the_openearable_app_begin_with_the_time() -> None:
     asked = {"url": "ws://127.0.0.1:8765/ws", "format": "json", "openearable_sensor": "A"}
-    with pytest.raises(ValueError, match="begin with the time"):
+    with pytest.raises(ValueError, match="start with the time"):
         line_settings(columns=["x", "t [us]"], time_column="t", **asked)
     line_settings(columns=["t [us]", "x"], time_column="t", **asked)
 

@@ -166,7 +166,7 @@ async def test_who_refuses_everything_is_tried_again_and_says_so(sensor: MakeSen
         async with connected(movesense):
             pass
     assert caught.value.reason is ProtocolReason.REFUSED
-    assert "refuses to talk (403)" in str(caught.value)
+    assert "refuses to communicate (403)" in str(caught.value)
 
 
 @ON_BUMBLE

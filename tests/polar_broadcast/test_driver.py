@@ -97,7 +97,7 @@ async def test_a_device_that_tells_no_rate_is_said_to_tell_none(radio: Radio) ->
         strap.apply(Fault(FaultKind.UNREADABLE, 60.0))
         # What was advertised before is over.
         await asyncio.sleep(2.0)
-        with pytest.raises(ProtocolError, match="hold no heart rate") as caught:
+        with pytest.raises(ProtocolError, match="contain no heart rate") as caught:
             async with connected(strap):
                 pass
         assert caught.value.reason is ProtocolReason.UNSUPPORTED

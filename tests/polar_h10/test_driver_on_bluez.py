@@ -41,7 +41,7 @@ async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
             await until(lambda: State.BACKOFF in run.states)
         said = [entry["event"] for entry in logs]
         assert any("enabling again" in event for event in said)
-        assert any("the Bluetooth system of this computer fails" in event for event in said)
+        assert any("this computer's Bluetooth system fails" in event for event in said)
         assert "Bluetooth is unavailable" in str(run.supervisor.last_error)
         bluez.rise()
         await run.goes_on(FRAME, "ecg")

@@ -137,7 +137,7 @@ async def test_an_oh1_says_what_it_lacks_and_sends_the_rest(sensor: MakeSensor) 
             assert info.silent == {"hr", "ppi"}
     said = [each["event"] for each in logs if each["log_level"] == "warning"]
     assert "it has no SDK mode; set sdk_mode = false, or update it" in said
-    assert "the device cannot measure all that is wanted" in said
+    assert "the device cannot measure everything requested" in said
 
 
 @ON_BUMBLE

@@ -175,7 +175,7 @@ async def test_a_device_that_falls_silent_is_asked_then_connected_again(
         before = len(run.states)
         run.device.apply(Fault(FaultKind.STALL, NEVER))
         await until(lambda: State.DISCOVERING in run.states[before:])
-        assert "fallen silent" in (run.supervisor.last_error or "")
+        assert "gone silent" in (run.supervisor.last_error or "")
         run.device.clear(FaultKind.STALL)
         await until(lambda: run.supervisor.connections == 2)
         await run.more()

@@ -364,7 +364,7 @@ def silence(_number: int) -> bytes:
 @pytest.mark.parametrize(
     ("frames", "reason", "what"),
     [
-        (hxm, ProtocolReason.UNSUPPORTED, "a Zephyr HxM, which is not read"),
+        (hxm, ProtocolReason.UNSUPPORTED, "a Zephyr HxM, which is not supported"),
         (gps, ProtocolReason.GARBAGE, "not a BioHarness"),
         (silence, ProtocolReason.NO_REPLY, "does not answer"),
     ],

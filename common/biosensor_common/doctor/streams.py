@@ -442,7 +442,7 @@ def _far_ports(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
             f"{listed(each.name for each in there)}",
             f"LSL programs without a configuration ask known peers on {LSL_PORT_RANGE} ports "
             "only, which is 16 streams. By multicast they find all.",
-            "where LabRecorder is: biosensor-gateway config lsl (with --for two-pc --peer "
+            "on LabRecorder's computer: biosensor-gateway config lsl (with --for two-pc --peer "
             f"{host} if that is another computer)",
         )
 

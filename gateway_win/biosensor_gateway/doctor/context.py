@@ -20,7 +20,7 @@ from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, L
 
 LAB_RECORDER_PORT = 22345
 
-_NOTHING_STREAMS = "The agent streams nothing without a device."
+_NOTHING_STREAMS = "Without a device, the agent streams nothing."
 _PIP = f"{sys.executable} -m pip install --force-reinstall"
 
 GUIDE = Guide(
@@ -31,7 +31,7 @@ GUIDE = Guide(
     install_pylsl=f"{_PIP} pylsl",
     libraries={name: f"{_PIP} {name}" for name in ("bleak", "numpy")},
     ask_itself="biosensor-gateway config lsl",
-    ask_others="where LabRecorder is: biosensor-gateway config lsl --for two-pc --peer {peer}",
+    ask_others="on LabRecorder's computer: biosensor-gateway config lsl --for two-pc --peer {peer}",
     correct_file="biosensor-gateway config lsl --force",
     edit="biosensor-gateway config edit",
     alone=(
@@ -138,7 +138,7 @@ def _file(context: Context) -> Iterator[Finding]:
         for line in str(problem).splitlines():
             yield error(
                 line.strip(),
-                "The agent does not start before every line of its settings is right.",
+                "The agent does not start until every line of its settings is correct.",
                 f"correct it (biosensor-gateway config edit opens {path}), "
                 "then: biosensor-gateway config check",
             )
@@ -146,7 +146,7 @@ def _file(context: Context) -> Iterator[Finding]:
     if problem is not None:
         yield error(
             f"the settings cannot be read: {type(problem).__name__}: {problem}",
-            "A driver or a library of it is damaged; the agent does not start.",
+            "A driver or one of its libraries is damaged; the agent does not start.",
             "install Biosensor Gateway again, then: biosensor-gateway config check",
         )
         return
@@ -182,8 +182,8 @@ def _state_folder(folder: Path) -> Finding:
     except OSError as problem:
         return error(
             f"the state folder {folder} cannot be written: {problem.strerror or problem}",
-            "Status, logs and the guard against a second agent are kept there.",
-            f"make {existing} a folder that you may write to, or set BIOSENSOR_GATEWAY_STATE to "
+            "Status, logs and the lock against a second agent are kept there.",
+            f"make {existing} a folder that you can write to, or set BIOSENSOR_GATEWAY_STATE to "
             "another one",
         )
     return ok(f"state folder {folder}, {'writable' if existing == folder else 'can be made'}")
@@ -199,15 +199,15 @@ def _agent(context: Context) -> Finding:
         return warning(
             f"an agent runs, but does not report: {problem}",
             "It is starting, ending or stuck.",
-            "wait a few seconds and look again: biosensor-gateway status; if it stays so: "
+            "wait a few seconds and look again: biosensor-gateway status; if nothing changes: "
             "biosensor-gateway stop",
         )
     other = status_file.other_session(status, context.overrides)
     if other:
         return error(
             other,
-            "A recorder, features and the page that start now record and show nothing of it.",
-            "biosensor-gateway stop\nand then, as it was started before: biosensor-gateway run",
+            "A recorder, features or a page started now record and show none of its streams.",
+            "biosensor-gateway stop\nand then, as before: biosensor-gateway run",
         )
     states = ", ".join(f"{each['sensor']} {each['state']}" for each in status["devices"])
     return ok(f"an agent runs (process {status['process']}): {states or 'no devices'}")

@@ -229,7 +229,7 @@ def _rate_problem(name: str, noted: StreamTest) -> str:
     if not noted.nominal_hz:
         return ""
     if not noted.samples:
-        return f"{name}: no sample came"
+        return f"{name}: no sample arrived"
     rate = noted.measured_hz
     if rate is not None and abs(rate - noted.nominal_hz) > RATE_TOLERANCE * noted.nominal_hz:
         return f"{name}: {rate:.1f} samples a second instead of {noted.nominal_hz:g}"
@@ -274,7 +274,7 @@ def chosen_device(
     if missing:
         message = (
             f"no {sensor_name} is in the settings, and it needs {', '.join(missing)}; "
-            "`biosensor-gateway scan` shows what is there"
+            "`biosensor-gateway scan` shows which devices are there"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message)
     return model.model_validate({"sensor": sensor_name, "unit": "trial"})

@@ -38,8 +38,9 @@ if TYPE_CHECKING:
 _SOCKET = "socket://"
 LISTEN_S = 2.0
 UNSEEN_ON_WINDOWS = (
-    "on Windows, sensors that drop a connection or refuse it are paired, and unpaired at its end; "
-    "this was not seen with a real sensor yet: `pair` in the sensor's table decides it"
+    "on Windows, sensors that drop a connection or refuse it are paired, and unpaired at its "
+    "end; this has not been tested with a real sensor yet: `pair` in the sensor's table controls "
+    "it"
 )
 _LINUX_FIXES = {
     TransportReason.UNAVAILABLE: "sudo systemctl start bluetooth && rfkill unblock bluetooth && "
@@ -68,10 +69,10 @@ ADAPTERS = Path("/sys/class/bluetooth")
 _GNOME = "org.gnome.settings-daemon.plugins.power"
 _GNOME_KEY = "sleep-inactive-ac-type"
 _HELD_OFF = (
-    "The agent holds sleep off while a device streams, but not before the first one does, nor if "
-    "the lid is closed."
+    "The agent prevents sleep while a device streams, but not before the first one does, nor "
+    "when the lid is closed."
 )
-_NOT_HELD_OFF = "A recording ends with the sleep, and keep_awake is off in the settings."
+_NOT_HELD_OFF = "A recording ends when the computer sleeps, and keep_awake is off in the settings."
 
 # GUID_SLEEP_SUBGROUP and GUID_STANDBY_TIMEOUT of winnt.h.
 _SLEEP = UUID("238c9fa8-0aad-41ed-83f4-97be242c8f20")
@@ -165,9 +166,8 @@ def bluetooth(context: Context) -> Iterator[Finding]:
         yield ok(UNSEEN_ON_WINDOWS)
     if needing and not heard:
         yield note(
-            "no Bluetooth device at all was found",
-            "A device that is connected elsewhere, to a phone for instance, or that is off, "
-            "cannot be heard.",
+            "no Bluetooth device was found",
+            "A device that is off, or connected elsewhere, such as to a phone, cannot be found.",
             "switch the sensor on, wear it, disconnect it from phones, then: biosensor-gateway "
             "scan",
         )
@@ -178,7 +178,7 @@ def _unusable(problem: TransportError, needing: list[str]) -> Finding:
     if needing:
         why = f"{', '.join(dict.fromkeys(needing))} cannot be reached without it."
         return error(str(problem), why, fix)
-    why = "No device of the settings needs it; the others are not affected."
+    why = "No device in the settings needs it; the others are not affected."
     return note(str(problem), why, fix)
 
 
@@ -187,7 +187,7 @@ def serial(context: Context) -> Iterator[Finding]:
     # No port is opened, because opening a Bluetooth port makes the radio connect.
     named = serial_ports_of(context.enabled)
     if not named:
-        yield ok("no device of the settings has a serial port")
+        yield ok("no device in the settings has a serial port")
         return
     from biosensor_gateway.transports.serial_port import serial_ports  # needs D-Bus
 
@@ -209,7 +209,7 @@ def _paired(address: str, sensor: str, known: Collection[str]) -> Finding:
         return ok(f"{sensor}: {address} is paired")
     return warning(
         f"{sensor}: {address} is not known as a paired device with a serial service",
-        "Devices of classic Bluetooth connect only to computers that they are paired with.",
+        "Bluetooth Classic devices connect only to computers that they are paired with.",
         f"bluetoothctl pair {address}"
         if sys.platform == "linux"
         else "pair it in the system's Bluetooth settings",
@@ -227,12 +227,12 @@ def device_file(path: Path, sensor: str) -> Finding:
     if not path.exists():
         return _absent(str(path), sensor)
     if os.access(path, os.R_OK | os.W_OK):
-        return ok(f"{sensor}: {path} is there and may be opened")
+        return ok(f"{sensor}: {path} exists and can be opened")
     group = _group(path)
     return error(
-        f"{sensor}: {path} may not be opened by you",
-        f"It belongs to the group {group}; {getpass.getuser()} is not in it, or was not when the "
-        "session began.",
+        f"{sensor}: you do not have permission to open {path}",
+        f"It belongs to the group {group}; {getpass.getuser()} is not in that group, or was not "
+        "when this session started.",
         f'sudo usermod -aG {group} "$USER", then log out and in',
     )
 
@@ -240,8 +240,8 @@ def device_file(path: Path, sensor: str) -> Finding:
 def _absent(port: str, sensor: str) -> Finding:
     return error(
         f"{sensor}: there is no port {port}",
-        "The agent goes on looking for it, and streams nothing of this device until it is there.",
-        f"{_PAIR}\nand correct port, if it has another name now: biosensor-gateway config edit",
+        "The agent keeps looking for it, and streams nothing from this device until it appears.",
+        f"{_PAIR}\nand correct port, if its name has changed: biosensor-gateway config edit",
     )
 
 
@@ -272,9 +272,8 @@ def _service(service: Service) -> Finding:
                 context.wrap_socket(connection, server_hostname=service.host).close()
     except ssl.SSLError as problem:
         return error(
-            f"{where} answers, but not with a certificate that is trusted "
-            f"({problem.reason or problem})",
-            "The agent passes no secret on to whom it does not know.",
+            f"{where} answers, but its certificate is not trusted ({problem.reason or problem})",
+            "The agent does not send secrets to a service that it cannot verify.",
             f"install {service.program} on this computer, or set ca_file to the vendor's root "
             "certificate: biosensor-gateway config edit",
         )
@@ -287,7 +286,7 @@ def _service(service: Service) -> Finding:
     except OSError as problem:
         return error(
             f"{where} does not answer ({problem.strerror or problem})",
-            "The agent goes on trying, and streams nothing of this device until it does.",
+            "The agent keeps trying, and streams nothing from this device until it does.",
             f"start {service.program} on that computer and log in there; if it runs elsewhere: "
             "biosensor-gateway config edit",
         )
@@ -308,7 +307,7 @@ def _secrets(context: Context) -> Iterator[Finding]:
             except CredentialError as problem:
                 yield error(
                     str(problem),
-                    "The vendor's service refuses programs that it does not know.",
+                    "The vendor's service refuses unknown programs.",
                     f"biosensor-gateway secrets set {name}",
                 )
             else:
@@ -326,7 +325,7 @@ def lab_recorder(port: int) -> Finding:
             "start and stop recordings need it.",
             "start LabRecorder and tick 'Enable RCS'",
         )
-    return ok(f"something answers on TCP {port}, LabRecorder's remote control")
+    return ok(f"something answers on TCP {port}, the port of LabRecorder's remote control")
 
 
 def licences(context: Context) -> Iterator[Finding]:
@@ -352,22 +351,22 @@ def _licence(entry: DriverEntry, device: DeviceSettings) -> Iterator[Finding]:
     except CredentialError as problem:
         yield error(
             f"{title}: {problem}",
-            "The agent goes on trying, and streams nothing of this device until it may.",
-            "do what the sentence says, in the vendor's program",
+            "The agent keeps trying, and streams nothing from this device until it is allowed.",
+            "follow that sentence in the vendor's program",
         )
     except (GatewayError, TimeoutError) as problem:
         yield note(
-            f"{title}: its licence could not be looked at ({problem or 'no answer'})",
+            f"{title}: its licence could not be checked ({problem or 'no answer'})",
             "Streams that it does not cover stay empty.",
-            "look at the check services first: biosensor-gateway doctor --only services",
+            "run the services check first: biosensor-gateway doctor --only services",
         )
     else:
         for clause in clauses:
             yield warning(
                 f"{title}: the licence: {clause}",
-                "A recording has such a stream, and too little or nothing in it.",
-                "extend the licence in your account with the vendor, or do without; wait-ready "
-                "then needs its option --without",
+                "A recording then has such a stream, with too little or nothing in it.",
+                "extend the licence in your account with the vendor, or do without it; "
+                "wait-ready then needs its option --without",
             )
         if not clauses:
             yield ok(f"{title}: the licence covers all streams")
@@ -425,7 +424,7 @@ def power(context: Context) -> Iterator[Finding]:
     elif sys.platform == "win32" and by_bluetooth_le(context.enabled):
         yield note(
             "Windows may switch the Bluetooth adapter off to save power",
-            "Then the sensors drop out, and come back only by chance.",
+            "The sensors then drop out, and come back only by chance.",
             "Device Manager > Bluetooth > the adapter > Properties > Power Management: clear "
             "'Allow the computer to turn off this device'",
         )
@@ -441,7 +440,7 @@ def _sleep(keep_awake: bool) -> Iterator[Finding]:
     else:
         return
     if after is None:
-        yield ok("nothing is known to send this computer to sleep by itself")
+        yield ok("no setting is known that sends this computer to sleep automatically")
     elif keep_awake:
         yield note(f"this computer goes to sleep {after}", _HELD_OFF, fix)
     else:
@@ -454,13 +453,13 @@ def _linux_sleep() -> str | None:
         return None
     desktop = child.output_of("gsettings", "get", _GNOME, _GNOME_KEY)
     if desktop is not None and "suspend" in desktop:
-        return "when nobody uses it (the desktop's setting for mains)"
+        return "when it is idle (the desktop's setting for mains power)"
     return None
 
 
 def _windows_sleep() -> str | None:
     seconds = _sleep_timeout_s()
-    return f"after {seconds / 60:g} minutes on mains" if seconds else None
+    return f"after {seconds / 60:g} minutes on mains power power" if seconds else None
 
 
 def _battery() -> Iterator[Finding]:
@@ -473,8 +472,8 @@ def _battery() -> Iterator[Finding]:
     if state is not None and state.power_plugged is False:
         yield note(
             f"this computer runs on battery ({state.percent:.0f} percent)",
-            "It saves power at the cost of radio and timing, and may go to sleep whatever the "
-            "agent asks for.",
+            "It saves power at the expense of radio and timing, and may go to sleep regardless "
+            "of what the agent asks for.",
             "plug it in",
         )
 
@@ -487,8 +486,8 @@ def adapters(folder: Path) -> Iterator[Finding]:
             if _is_auto(control):
                 yield note(
                     f"the Bluetooth adapter {adapter.name} may be suspended (USB autosuspend)",
-                    "Some adapters lose connections by it, or do not come back.",
-                    f"echo on | sudo tee {control.resolve()}\nfor good: options btusb "
+                    "Some adapters then lose connections or do not come back.",
+                    f"echo on | sudo tee {control.resolve()}\npermanently: options btusb "
                     "enable_autosuspend=0 in /etc/modprobe.d/btusb.conf",
                 )
                 break

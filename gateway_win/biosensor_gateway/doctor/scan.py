@@ -188,16 +188,16 @@ def advice(section: Section) -> list[str]:
     for each in section.found:
         addresses.setdefault(each.name, set()).add(str(each.settings.get(_ADDRESS, "")))
     advice = [
-        f"{len(alike)} are called {name}: only the address under `device` tells them apart. Hold "
-        "one to this computer and scan again: the nearest comes first."
+        f"{len(alike)} have the name {name}: only the address under `device` distinguishes them. "
+        "Hold one close to this computer and scan again: the nearest comes first."
         for name, alike in addresses.items()
         if len(alike) > 1
     ]
     if any(_IDENTIFIER.fullmatch(each) for alike in addresses.values() for each in alike):
         advice.append(
-            "macOS shows identifiers in place of addresses: another computer has others for the "
-            "same devices. To see whose is whose, hold one to this computer and scan again: the "
-            "nearest comes first."
+            "macOS shows identifiers instead of addresses: another computer has others for the "
+            "same devices. To see which is which, hold one close to this computer and scan "
+            "again: the nearest comes first."
         )
     return advice
 

@@ -52,7 +52,7 @@ def _originals() -> dict[str, Any]:
     for name, original in originals.items():
         if original is None or getattr(bleak, name, None) is not original:
             raise RuntimeError(
-                f"bleak has no {name} any more; the virtual radio stands in for that of bleak 3.1"
+                f"bleak no longer has {name}; the virtual radio replaces that of bleak 3.1"
             )
     return originals
 

@@ -192,7 +192,7 @@ def parse_fault(text: str) -> ScheduledFault:
         words = re.findall(r"\w+", text.partition("@")[0])
         hint = next(filter(None, (did_you_mean(each, _KINDS) for each in words)), "")
         message = (
-            f"{text!r} is not a fault{hint}; write [SENSOR:]KIND[:VALUE]@START, as in drop:5s@10s"
+            f"{text!r} is not a fault{hint}; write [SENSOR:]KIND[:VALUE]@START, such as drop:5s@10s"
         )
         raise ConfigError(ConfigReason.WRONG_VALUE, f"{message}; kinds are {kinds}")
     value = float(found["value"]) if found["value"] else _DEFAULTS.get(kind, _DEFAULT_SECONDS)

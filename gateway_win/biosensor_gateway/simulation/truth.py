@@ -97,16 +97,16 @@ class Truth:
 USUALLY_IMPOSSIBLE: Mapping[Kind, str] = MappingProxyType(
     {
         Untidiness.APART: "all channels of a signal come in one message",
-        Untidiness.PACE: "its sensors go by the clock that it tells: where it is fast, it drifts",
-        FaultKind.STEP_BACK: "no value of it is made of counts",
+        Untidiness.PACE: "its sensors run on the clock that it reports: a fast clock drifts",
+        FaultKind.STEP_BACK: "none of its values is made of counts",
     }
 )
 """Faults that most kinds of devices cannot have, with reasons."""
-NO_INTERVALS = "it tells no intervals between beats"
+NO_INTERVALS = "it reports no intervals between beats"
 NO_RATE = "none of its signals has a rate"
 ONE_RATE = "each of its signals has one rate, which no setting changes"
-TELLS_ITS_RATE = "its rate is asked for or told at each connection"
-SAYS_WHAT_IT_IS = "each message comes by a characteristic of its own, which says what it is"
+TELLS_ITS_RATE = "its rate is requested or reported at each connection"
+SAYS_WHAT_IT_IS = "each message comes from its own characteristic, which identifies it"
 
 
 class Contact(NamedTuple):

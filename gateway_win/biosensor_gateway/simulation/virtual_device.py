@@ -15,10 +15,10 @@ from biosensor_gateway.simulation.truth import USUALLY_IMPOSSIBLE, Expected, Tru
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
-_IN_ORDER = "what carries its bytes keeps their order"
-_HELD_BY_HOST = "nothing but the computer itself holds its bytes up for seconds, as when it sleeps"
-_NO_NAME = "nobody finds it by a name on the air"
-_NO_ADDRESS = "its settings say where it is, and that is not asked of the air"
+_IN_ORDER = "its transport keeps the order of bytes"
+_HELD_BY_HOST = "only the computer itself delays its bytes for seconds, as when it sleeps"
+_NO_NAME = "it is not found by a name over the air"
+_NO_ADDRESS = "its settings say where it is, so it is not searched for over the air"
 
 
 @unique
@@ -38,7 +38,7 @@ IMPOSSIBLE: Mapping[Link, Mapping[Kind, str]] = MappingProxyType(
         Link.BLUETOOTH_LE: {
             Untidiness.OVERTAKEN: "a link of Bluetooth LE repeats a packet until it is "
             "acknowledged, before it sends the next one",
-            Untidiness.GLUED: "a notification comes as a whole and by itself",
+            Untidiness.GLUED: "a notification arrives whole and separately",
         },
         Link.SERIAL: {
             Untidiness.BUNDLED: _HELD_BY_HOST,
@@ -55,16 +55,15 @@ IMPOSSIBLE: Mapping[Link, Mapping[Kind, str]] = MappingProxyType(
         Link.WEB_SOCKET: {
             Untidiness.BUNDLED: _HELD_BY_HOST,
             Untidiness.OVERTAKEN: _IN_ORDER,
-            Untidiness.GLUED: "a message of a WebSocket comes as a whole and by itself",
+            Untidiness.GLUED: "a WebSocket message arrives whole and separately",
             Untidiness.NAMELESS: _NO_NAME,
             Untidiness.READDRESSED: _NO_ADDRESS,
         },
         Link.UDP: {
             Untidiness.BUNDLED: _HELD_BY_HOST,
-            Untidiness.GLUED: "a datagram comes as a whole and by itself",
+            Untidiness.GLUED: "a datagram arrives whole and separately",
             Untidiness.NAMELESS: _NO_NAME,
-            Untidiness.READDRESSED: "who it is says its number in what it sends, whatever the "
-            "address",
+            Untidiness.READDRESSED: "its data contains its identity, whatever the address",
         },
     }
 )

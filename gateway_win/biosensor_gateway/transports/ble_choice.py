@@ -89,7 +89,7 @@ class Choice:
             say = _log.warning if self._device else _log.info
             say(
                 f'{self.what}: connected to {_shown(seen)}; set device = "{seen.address}" in its '
-                "table, so that no other one can be taken in its place at the next start"
+                "table, so that the next start cannot take another one instead"
             )
         self._device = self._device or self._identify(seen) or seen.address
         self._kept, self._kept_seen = seen.address, seen
@@ -152,7 +152,7 @@ class Choice:
             if known.is_connected and is_free and self._wants(seen):
                 _log.warning(
                     f"{self.what} is still connected to this computer ({_shown(seen)}), perhaps "
-                    "by an agent that was killed, or since an attempt that took too long; it is "
+                    "by an agent that was killed, or after an attempt that took too long; it is "
                     "disconnected first"
                 )
                 await bluez.disconnect(known.path)
@@ -229,15 +229,16 @@ class Choice:
         if seen.address not in self._warned_of:
             self._warned_of.add(seen.address)
             _log.warning(
-                f"another device answers to {self._device} ({_shown(seen)}); it is not taken in "
-                f"place of the one that was connected ({self._kept})"
+                f"another device also matches {self._device} ({_shown(seen)}); it is not used "
+                f"instead of the one that was connected ({self._kept})"
             )
 
     def _too_many(self, seen: Sequence[Advertisement]) -> ProtocolError:
         if self._device:
             message = (
-                f"more than one device in range is called {self._device} ({_addresses(seen)}); "
-                "set `device` to the address of yours: `scan` lists the nearest first"
+                f"more than one device in range has the name {self._device} "
+                f"({_addresses(seen)}); set `device` to the address of yours: `scan` lists the "
+                "nearest first"
             )
         else:
             names = ", ".join(sorted(self._identify(each) or each.address for each in seen))
@@ -253,14 +254,14 @@ class Choice:
             if known.is_connected and self._wants(known.advertisement):
                 address = known.advertisement.address
                 message = (
-                    f"{self.what} is connected to this computer already; end the program that uses "
-                    f"it, or free it: bluetoothctl disconnect {address}"
+                    f"{self.what} is already connected to this computer; end the program that "
+                    f"uses it, or free it: bluetoothctl disconnect {address}"
                 )
                 return TransportError(TransportReason.ABSENT, message)
         message = f"{self.what} is not in range; {self._advice}"
         if heard and self._kept:
             message = (
-                f"{self.what} ({self._kept}) is not in range, only another that answers to it "
+                f"{self.what} ({self._kept}) is not in range, only another that matches "
                 f"({_addresses(heard)}); {self._advice}, or set `device` to the address of yours"
             )
         elif self._alike:
@@ -272,8 +273,8 @@ class Choice:
         elif heard:
             names = ", ".join(sorted(map(_shown, heard)))
             message = (
-                f"{self.what} is not in range, only what other tables of the settings use "
-                f"({names}); {self._advice}"
+                f"{self.what} is not in range, only devices that other tables of the settings "
+                f"use ({names}); {self._advice}"
             )
         return TransportError(TransportReason.ABSENT, message)
 

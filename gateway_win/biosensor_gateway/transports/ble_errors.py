@@ -47,14 +47,15 @@ _DBUS_REASONS = {
 }
 
 _ADVICE = {
-    TransportReason.BUSY: "Bluetooth is busy with it already; close other programs that use it, "
-    "or switch Bluetooth off and on",
-    TransportReason.DENIED: "the system refuses Bluetooth to this program; allow it there",
+    TransportReason.BUSY: "Bluetooth is already busy with it; close other programs that use it, or "
+    "switch Bluetooth off and on",
+    TransportReason.DENIED: "the system does not allow this program to use Bluetooth; allow it in "
+    "the system's settings",
     TransportReason.UNAVAILABLE: "Bluetooth is unavailable; plug in or switch on the radio",
 }
 
 _FAILURES = {
-    TransportReason.LOST: "the Bluetooth system of this computer fails",
+    TransportReason.LOST: "this computer's Bluetooth system fails",
     TransportReason.DENIED: "pairing fails; remove the device from the computer's Bluetooth "
     "settings and try again",
 }
@@ -120,8 +121,8 @@ def scan_error(error: Exception) -> TransportError:
 def late_scan(limit_s: float) -> TransportError:
     """Return the error for a scan that did not start in time, but may start later."""
     message = (
-        f"Bluetooth does not begin to search within {limit_s:.0f} s; the answer is waited for; "
-        "if none comes, switch Bluetooth off and on"
+        f"Bluetooth does not start to search within {limit_s:.0f} s; still waiting for its "
+        "answer; if none comes, switch Bluetooth off and on"
     )
     return TransportError(TransportReason.UNAVAILABLE, message)
 
@@ -190,8 +191,9 @@ def _of_switch(value: object) -> object:
 PairSetting = Annotated[PairMode, BeforeValidator(_of_switch)]
 """Type of the setting ``pair`` of a device."""
 PAIR_DESCRIPTION = (
-    "auto pairs when the device demands it, or drops a connection at once on Windows; yes pairs "
-    "before each connection; no never pairs, for a device that the system's settings have paired."
+    "auto pairs when the device demands it or, on Windows, drops a connection immediately; yes "
+    "pairs before each connection; no never pairs, for a device that was paired in the system's "
+    "settings."
 )
 
 

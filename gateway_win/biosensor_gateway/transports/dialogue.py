@@ -151,7 +151,7 @@ class Dialogue(Generic[_MessageT, _CommandT]):
     def _require_reader(self) -> asyncio.Task[None]:
         """Return the reading task; raise the exception that ended it."""
         if self._reading is None:
-            raise RuntimeError("nobody reads before a dialogue has begun")
+            raise RuntimeError("nobody reads before a dialogue has started")
         if self._reading.done():
             self._reading.result()
         return self._reading

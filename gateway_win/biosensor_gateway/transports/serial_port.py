@@ -44,8 +44,8 @@ _OPEN_REASONS: dict[int | None, tuple[TransportReason, str]] = {
     errno.EHOSTDOWN: (TransportReason.ABSENT, "the device does not answer; switch it on"),
     errno.ETIMEDOUT: (TransportReason.ABSENT, "the device does not answer; switch it on"),
     errno.ECONNREFUSED: (TransportReason.ABSENT, "the device refuses; switch it off and on"),
-    errno.EBUSY: (TransportReason.BUSY, "another program holds the port; close it there"),
-    errno.EAGAIN: (TransportReason.BUSY, "another program holds the port; close it there"),
+    errno.EBUSY: (TransportReason.BUSY, "another program is using the port; close it there"),
+    errno.EAGAIN: (TransportReason.BUSY, "another program is using the port; close it there"),
     errno.EACCES: (TransportReason.DENIED, "no permission; add yourself to the group dialout"),
     errno.EPERM: (TransportReason.DENIED, "no permission; add yourself to the group dialout"),
 }
@@ -81,7 +81,7 @@ class _PolledPort(serial.Serial):
             with contextlib.suppress(BlockingIOError):
                 rest = rest[os.write(handle, rest) :]
             if rest and not _ready({handle: select.POLLOUT}, deadline_s - LSL_CLOCK()):
-                raise serial.SerialTimeoutException("the device takes nothing")
+                raise serial.SerialTimeoutException("the device accepts no data")
         return total
 
 
@@ -170,7 +170,7 @@ class SerialLink:
                 data, arrival = port.read(1), LSL_CLOCK()
                 if not data and not self._traffic.closing:
                     # It has no time limit: Windows ends it when the device is pulled out.
-                    raise serial.SerialException("the system has ended the read")
+                    raise serial.SerialException("the system ended the read")
                 try:
                     waiting = port.in_waiting
                     # Not earlier: what comes while this thread waits for its turn would be

@@ -146,7 +146,8 @@ class WebSocketLink:
             case ssl.SSLCertVerificationError():
                 advice = (
                     f"its certificate is not trusted ({error.verify_message.rstrip('.')}); set "
-                    "ca_file to the vendor's root certificate and use the host name it is for"
+                    "ca_file to the vendor's root certificate and use the host name in the "
+                    "certificate"
                 )
                 return TransportError(TransportReason.DENIED, f"{self._url}: {advice}")
             case TimeoutError():
@@ -154,12 +155,14 @@ class WebSocketLink:
             case OSError() if not isinstance(error, ssl.SSLError):
                 advice = "nothing listens there; start the service"
             case InvalidMessage() | EOFError():
-                advice = "it ends the connection at once; is the service starting?"
+                advice = "it closes the connection immediately; is the service starting?"
             case InvalidURI() | ValueError() if not isinstance(error, OSError):
                 message = f"{self._url}: not a usable URL ({error})"
                 return ConfigError(ConfigReason.WRONG_VALUE, message)
             case _:
-                message = f"{self._url}: what listens there is not the service ({error})"
+                message = (
+                    f"{self._url}: the program that listens there is not the service ({error})"
+                )
                 return TransportError(TransportReason.UNAVAILABLE, message)
         return TransportError(TransportReason.ABSENT, f"{self._url}: {advice}")
 

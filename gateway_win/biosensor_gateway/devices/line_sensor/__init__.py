@@ -48,7 +48,7 @@ _CONTENT: Mapping[str, ContentType] = MappingProxyType(
 _UNITS: Mapping[str, Unit] = MappingProxyType({each.value: each for each in Unit})
 
 
-_NO_BOUNDS = "what a device of the user's own may measure, nobody else knows"
+_NO_BOUNDS = "only its user knows what a self-built device measures"
 
 
 class Column(NamedTuple):

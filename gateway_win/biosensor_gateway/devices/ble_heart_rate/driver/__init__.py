@@ -40,7 +40,7 @@ from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, AttError, 
 from biosensor_gateway.transports.nearby import Advertisement
 
 _log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
-_ADVICE = "put it on with wet electrodes, and end its connection to phones and watches"
+_ADVICE = "put it on with wet electrodes, and disconnect it from phones and watches"
 BATTERY_PERIOD_S = 300.0
 DUE = {"hr": 7.5}
 """A strap measures once a second, an optical sensor every 5 s."""
@@ -53,7 +53,7 @@ class HeartRateStrapSettings(DeviceSettings):
         default="",
         max_length=64,
         description="Bluetooth address of the strap, as scan shows it, or its name, which another "
-        "strap may have, too; empty takes the only one in range that no other table uses.",
+        "strap may also have; if empty, the only one in range that no other table uses.",
         examples=["C0:FF:EE:12:34:56"],
     )
     pair: PairSetting = Field(default="auto", description=PAIR_DESCRIPTION)

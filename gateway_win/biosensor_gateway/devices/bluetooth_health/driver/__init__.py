@@ -22,7 +22,7 @@ from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError, Pa
 from biosensor_gateway.transports.nearby import Advertisement
 
 KIND = "health device"
-_ADVICE = "switch it on or put it on, and end its connection to phones"
+_ADVICE = "switch it on or put it on, and disconnect it from phones"
 
 
 class HealthDeviceSettings(DeviceSettings):
@@ -31,8 +31,8 @@ class HealthDeviceSettings(DeviceSettings):
     device: str = Field(
         default="",
         max_length=64,
-        description="Bluetooth address of the device, as scan shows it, or its name; empty takes "
-        "the only one in range that no other table uses.",
+        description="Bluetooth address of the device, as scan shows it, or its name; if empty, the "
+        "only one in range that no other table uses.",
         examples=["C0:FF:EE:12:34:56"],
     )
     wheel_mm: int = Field(
@@ -42,7 +42,7 @@ class HealthDeviceSettings(DeviceSettings):
         description="Circumference of the wheel in millimetres, for the speed of a bicycle.",
     )
     pair: bool = Field(
-        default=False, description="Pair before connecting, for devices that demand it."
+        default=False, description="Pair before connecting, for devices that require it."
     )
 
 
@@ -159,8 +159,8 @@ class HealthDeviceDriver:
         message = f"{self._link.what} has none of the services; choose another `device`"
         if self._link.has(SPOT_CHECK):
             message = (
-                f"{self._link.what} has only spot checks, one value when a measurement is over; "
-                "choose an oximeter that measures all the time"
+                f"{self._link.what} makes only spot checks, one value at the end of a "
+                "measurement; choose an oximeter that measures continuously"
             )
         return ProtocolError(ProtocolReason.UNSUPPORTED, message)
 

@@ -79,53 +79,57 @@ class BrainFlowSettings(DeviceSettings):
     )
     name: Annotated[ShortText, AfterValidator(_name)] = Field(
         default="",
-        description="What topics call the board; empty is BrainFlow's name in lower case: "
+        description="The board's name in topics; if empty, BrainFlow's name in lower case: "
         "CYTON_BOARD has /biosensors/cyton/...",
     )
     electrodes: Literal["", "eeg", "ecg", "emg", "eog"] = Field(
         default="",
-        description="What the electrodes are on, because most boards do not know; empty is the "
+        description="What the electrodes measure, because most boards do not know; if empty, the "
         "first of eeg, ecg, emg and eog that the board can have.",
     )
     python: str = Field(
         default="",
-        description="Full path of the Python that has BrainFlow. Empty is the one that this "
-        "program runs in; the installed program has none and needs it.",
+        description="Full path of the Python that has BrainFlow. If empty, the one that this "
+        "program runs in; the installed program has none and needs this setting.",
     )
     serial_port: str = Field(
-        default="", description="Of boards with a dongle or cable, as in COM3 or /dev/ttyUSB0."
+        default="", description="For boards with a dongle or cable, such as COM3 or /dev/ttyUSB0."
     )
-    mac_address: str = Field(default="", description="Of Bluetooth boards that need it.")
+    mac_address: str = Field(default="", description="For Bluetooth boards that need it.")
     serial_number: str = Field(
         default="", description="Of the device, or its Bluetooth name, where a board needs it."
     )
-    ip_address: str = Field(default="", description="Of boards on the network.")
-    ip_port: int = Field(default=0, ge=0, le=65535, description="Of boards on the network.")
+    ip_address: str = Field(default="", description="For boards on the network.")
+    ip_port: int = Field(default=0, ge=0, le=65535, description="For boards on the network.")
     timeout_s: int = Field(
-        default=0, ge=0, le=600, description="How long BrainFlow looks for it; 0 is its own choice."
+        default=0,
+        ge=0,
+        le=600,
+        description="How long BrainFlow looks for it; 0 leaves the choice to BrainFlow.",
     )
     other_info: str = Field(
-        default="", description="What BrainFlow's page on the board calls other_info."
+        default="", description="The value that BrainFlow's page on the board calls other_info."
     )
     file: str = Field(
-        default="", description="Recording of PLAYBACK_FILE_BOARD, which is played in its place."
+        default="",
+        description="Recording for PLAYBACK_FILE_BOARD, which is played instead of a board.",
     )
     master_board: str = Field(
-        default="", description="The board that recorded it, as in CYTON_BOARD."
+        default="", description="The board that recorded it, such as CYTON_BOARD."
     )
     config: tuple[str, ...] = Field(
         default=(),
         strict=False,
         max_length=64,
-        description="Texts that the board is configured with before it starts, in this order.",
+        description="Texts sent to configure the board before it starts, in this order.",
     )
     rate_hz: float = Field(
         default=0.0,
         ge=0,
         le=100_000,
         allow_inf_nan=False,
-        description="Samples a second, where config makes them others than BrainFlow says; 0 is "
-        "what BrainFlow says.",
+        description="Samples per second, if config changes the rate that BrainFlow reports; 0 uses "
+        "BrainFlow's rate.",
     )
 
     @property
@@ -211,7 +215,7 @@ def _described(python: str, board: str, master_board: str) -> Mapping[int, Descr
     except (subprocess.TimeoutExpired, ValueError) as error:
         process.kill()
         process.communicate()
-        message = f"BrainFlow did not say what {board} has; does it work in {_python(asked)}?"
+        message = f"BrainFlow did not report what {board} has; does it work in {_python(asked)}?"
         raise TransportError(TransportReason.UNAVAILABLE, message) from error
     if "error" in answer:
         raise refusal(asked, answer)
@@ -233,7 +237,7 @@ def refusal(
         )
         return TransportError(TransportReason.UNAVAILABLE, message)
     message = (
-        f"BrainFlow does not get {settings.board}: {said}; is it on, and are its settings right?"
+        f"BrainFlow cannot open {settings.board}: {said}; is it on, and are its settings right?"
     )
     return ProtocolError(ProtocolReason.REFUSED, message)
 
@@ -243,13 +247,14 @@ def _python(settings: BrainFlowSettings) -> Path:
         path = Path(settings.python)
         if not path.is_absolute():
             # A bare name could start a program in the current folder.
-            message = f"python is {settings.python!r}, not a full path; write it from the root on"
+            message = f"python is {settings.python!r}, not a full path; write it from the root"
             raise TransportError(TransportReason.UNAVAILABLE, message)
         return path
     if getattr(sys, "frozen", False):
         message = (
-            "the installed program has no BrainFlow, whose licence forbids to pass it on; install "
-            "Python and BrainFlow beside it, and set python to the full path of that Python"
+            "the installed program does not include BrainFlow, whose licence does not allow it; "
+            "install Python and BrainFlow separately, and set python to the full path of that "
+            "Python"
         )
         raise TransportError(TransportReason.UNAVAILABLE, message)
     return Path(sys.executable)
@@ -333,7 +338,7 @@ class BrainFlowDriver:
         """Start the process, and wait until the board has started."""
         self._described = await in_daemon_thread(lambda: described(self._settings))
         if not self._is_declared:
-            message = f"BrainFlow says now what {self._settings.board} has; start the agent again"
+            message = f"BrainFlow now reports what {self._settings.board} has; restart the agent"
             raise TransportError(TransportReason.UNAVAILABLE, message)
         await self._link.open(tuple(sorted(self._described)))
         try:
@@ -379,7 +384,7 @@ class BrainFlowDriver:
             async with asyncio.timeout(limit_s):
                 data, arrival_s = await self._link.read()
         except TimeoutError as error:
-            message = "the process that reads the board hangs; it is started again"
+            message = "the process that reads the board hangs; it is restarted"
             raise TransportError(TransportReason.SILENT, message) from error
         return [(frame, arrival_s) for frame in self._frames.feed(data)]
 

@@ -87,7 +87,7 @@ def _read(kind: bytes, preset: int, content: bytes) -> Rows | Told:
 
 
 def _garbage() -> ProtocolError:
-    message = "what reads the board sent something that is not a frame; it is restarted"
+    message = "the process that reads the board sent something that is not a frame; it is restarted"
     return ProtocolError(ProtocolReason.GARBAGE, message)
 
 
@@ -236,8 +236,8 @@ class PresetEmitter:
         text = ""
         if abs(rate / self._rate_hz - 1) > _RATE_ERROR:
             text = (
-                f"the board sends {rate:.1f} samples a second and {self._rate_hz:g} are declared, "
-                "so its stamps are wrong; set rate_hz"
+                f"the board sends {rate:.1f} samples per second but {self._rate_hz:g} are "
+                "declared, so its timestamps are wrong; set rate_hz"
             )
         if text != self._remark:
             self._remark = text

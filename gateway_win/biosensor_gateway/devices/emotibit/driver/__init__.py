@@ -52,23 +52,23 @@ class EmotiBitSettings(DeviceSettings):
 
     device: str = Field(
         default="",
-        description="Id of the EmotiBit, such as MD-V5-0000123; empty takes the only one that "
+        description="Id of the EmotiBit, such as MD-V5-0000123; if empty, the only one that "
         "answers.",
     )
     host: str = Field(
         default="",
-        description="Its address in the network; empty asks the whole network.",
+        description="Its address in the network; if empty, the whole network is asked.",
         examples=["192.168.1.40"],
     )
     port: int = Field(
         default=ADVERTISING_PORT,
         ge=1,
         le=65535,
-        description="UDP port on which EmotiBits are asked for.",
+        description="UDP port used to find EmotiBits.",
     )
     ppg_rate: Literal[25, 100] = Field(
         default=25,
-        description="Samples of the pulse per second: 100 with the firmware of that name.",
+        description="Pulse samples per second: 100 with the firmware of that name.",
     )
 
 
@@ -124,8 +124,8 @@ class PulseRate:
         near = [rate for rate in _RATES if abs(measured_hz / rate - 1) < _RATE_TOLERANCE]
         advice = f"set `ppg_rate = {near[0]}`" if near else "install a firmware that has 25 or 100"
         message = (
-            f"{self._name} measures the pulse {near[0] if near else measured_hz:.0f} times a "
-            f"second, and its setting `ppg_rate` is {self._nominal_hz}; {advice}"
+            f"{self._name} measures the pulse {near[0] if near else measured_hz:.0f} times per "
+            f"second, but its setting `ppg_rate` is {self._nominal_hz}; {advice}"
         )
         raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
 
@@ -215,7 +215,7 @@ class EmotiBitDriver:
                 while not self._early:
                     await self._keep(link)
         except TimeoutError as error:
-            message = f"{link.name}: it is connected and sends no data; switch it off and on"
+            message = f"{link.name}: it is connected but sends no data; switch it off and on"
             raise ProtocolError(ProtocolReason.NO_REPLY, message) from error
 
     async def _know_rate(self, link: Link) -> None:

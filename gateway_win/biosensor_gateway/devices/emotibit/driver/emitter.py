@@ -498,8 +498,8 @@ class EmotiBitEmitter:
         if other_hz is not None:
             nominal_hz = self._nominal_hz[data_name]
             text = (
-                f"{data_name} is measured {other_hz:.1f} times a second, and its header says "
-                f"{nominal_hz:g}; install the firmware of EmotiBit as it is delivered"
+                f"{data_name} is measured {other_hz:.1f} times per second, but its header says "
+                f"{nominal_hz:g}; install EmotiBit's original firmware"
             )
         if text != self._remarks.get(data_name, ""):
             self._remarks[data_name] = text

@@ -335,9 +335,9 @@ async def connect(advertising: Advertising, link: Link, nearby: Nearby) -> None:
     if await link.controlled(CONNECT_LIMIT_S):
         return
     if nearby.in_use:
-        message = f"{link.name} refuses: another program or computer uses it; end that one"
+        message = f"{link.name} refuses: another program or computer uses it; end that connection"
         raise TransportError(TransportReason.BUSY, message)
     message = (
-        f"{link.name}: it answers and does not connect; does a firewall of this computer refuse it?"
+        f"{link.name}: it answers but does not connect; does a firewall on this computer block it?"
     )
     raise ProtocolError(ProtocolReason.NO_REPLY, message)

@@ -65,7 +65,7 @@ class EmotivInsightSettings(DeviceSettings):
     headset: str = Field(
         default="",
         description="Id of the headset as EMOTIV Launcher shows it, INSIGHT-A1B2C3D4 for instance; "
-        "* stands for any characters. Empty for the only one in reach.",
+        "* matches any characters. If empty, the only one in range.",
     )
     allow_remote: bool = Field(
         default=False,
@@ -74,22 +74,22 @@ class EmotivInsightSettings(DeviceSettings):
     )
     url: str = Field(
         default=DEFAULT_URL,
-        description="Where the Cortex service listens. Its certificate is for localhost, not for "
+        description="Address of the Cortex service. Its certificate is for localhost, not for "
         "127.0.0.1.",
     )
     ca_file: str = Field(
         default="",
-        description="PEM file of the vendor's root certificate. Empty for what the operating "
-        "system trusts, which on Windows has it from the installer.",
+        description="PEM file of the vendor's root certificate. If empty, the certificates that "
+        "the operating system trusts; on Windows, its installer adds this one.",
     )
     license: str = Field(
         default="",
-        description="Id of the Emotiv licence to use. Empty for the one that Cortex chooses.",
+        description="Id of the Emotiv licence to use. If empty, the one that Cortex chooses.",
     )
     debit: int = Field(
         default=10,
         ge=0,
-        description="How many sessions to draw from a counted licence at a time.",
+        description="How many sessions to take from a metered licence at a time.",
     )
 
     @field_validator("url")

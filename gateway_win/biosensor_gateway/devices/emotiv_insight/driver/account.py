@@ -164,7 +164,7 @@ class Account:
         self._token = Secret(protocol.token(result))
         client.warnings.hide(self._token.reveal())
         if protocol.eula_missing(result):
-            self.say_once("the licence agreement is not accepted; do so in EMOTIV Launcher")
+            self.say_once("the licence agreement is not accepted; accept it in EMOTIV Launcher")
 
     async def _await_login(self, client: CortexClient, patience_s: float) -> None:
         missing = "nobody is logged in to EMOTIV Launcher; log in there"

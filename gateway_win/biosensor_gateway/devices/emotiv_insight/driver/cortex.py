@@ -95,7 +95,7 @@ def request_text(request_id: int, method: str, params: Mapping[str, object] | No
 
 def _revealed(value: object) -> str:
     if not isinstance(value, Secret):
-        raise TypeError(f"{type(value).__name__} has no place in a request")
+        raise TypeError(f"{type(value).__name__} cannot be sent in a request")
     return value.reveal()
 
 
@@ -334,7 +334,7 @@ class CortexClient:
         """Count an unusable message, and log the first of its kind."""
         self.faults[fault.code] += 1
         if self.faults[fault.code] == 1:
-            _log.warning("a message of Cortex is of no use", cause=fault.code.value)
+            _log.warning("a message from Cortex cannot be used", cause=fault.code.value)
 
     def _keep(self, arrived: ArrivedData) -> None:
         self._data.append(arrived)

@@ -103,7 +103,7 @@ def chosen(headsets: Sequence[Headset], pattern: str) -> Headset | None:
     insights = [each for each in fitting if is_insight(each)]
     if len(insights) > 1:
         ids = ", ".join(sorted(each.headset_id for each in insights))
-        message = f"{len(insights)} headsets fit; set headset to one of {ids}"
+        message = f"{len(insights)} headsets match; set headset to one of {ids}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     if fitting and not insights:
         _require_insight(fitting[0])
@@ -198,7 +198,7 @@ _ERRORS: dict[ErrorKind, tuple[TransportReason | CredentialReason, str]] = {
     ),
     ErrorKind.HEADSET: (_ABSENT, "switch the headset on, near this computer"),
     ErrorKind.RETRY_HEADSET: (_ABSENT, "wait until EMOTIV Launcher shows it as ready"),
-    ErrorKind.SESSION: (_LOST, "the session is made again"),
+    ErrorKind.SESSION: (_LOST, "the session is opened again"),
 }
 
 ENDINGS = {
@@ -272,7 +272,7 @@ class Session:
             failures = {**others.failures, "eeg": error.code}
             subscription = replace(others, failures=failures)
         if not subscription.layouts:
-            message = "Cortex refuses every stream; look at the headset in EMOTIV Launcher"
+            message = "Cortex refuses every stream; check the headset in EMOTIV Launcher"
             raise ProtocolError(ProtocolReason.REFUSED, message)
         return subscription
 

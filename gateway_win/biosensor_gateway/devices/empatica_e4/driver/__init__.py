@@ -148,8 +148,8 @@ class E4Settings(DeviceSettings):
     device: str = Field(
         default="",
         pattern="^([0-9A-Fa-f]{6})?$",
-        description="Id of the wristband, six hex digits such as 9ff167; empty takes the only one "
-        "on the server.",
+        description="Id of the wristband, six hex digits such as 9ff167; if empty, the only one on "
+        "the server.",
     )
 
 
@@ -200,7 +200,7 @@ class E4Driver:
         except ProtocolError as error:
             says = "no longer sends anything"
             if error.reason is not ProtocolReason.NO_REPLY:
-                says = f"gives no data of wristband {self._device}; is it still on?"
+                says = f"gives no data from wristband {self._device}; is it still on?"
             message = f"{self._where}: it {says}; the connection is restarted"
             raise TransportError(TransportReason.SILENT, message) from error
 
@@ -257,7 +257,7 @@ class E4Driver:
         try:
             await self._talk.ask("pause", switch, timeout_s=LIST_TIMEOUT_S)
         except ProtocolError:
-            self._emitter.log.warn_once("the server does not answer pause; it is done without")
+            self._emitter.log.warn_once("the server does not answer pause; continuing without it")
             return False
         return True
 
@@ -312,7 +312,7 @@ class E4Driver:
             raise TransportError(TransportReason.ABSENT, message)
         if event is RadioEvent.LOST:
             self._wait_for_radio(RADIO_GRACE_S)
-            _log.warning("the wristband is out of reach of its dongle", device=self._device)
+            _log.warning("the wristband is out of range of its dongle", device=self._device)
             self._sink.excuse(*DATA_NAMES.values())
         else:
             _log.info("the wristband is back", device=self._device)
@@ -331,7 +331,7 @@ class E4Driver:
     async def _require_radio(self) -> None:
         """Raise ``LOST`` when the wristband has been out of range for too long."""
         await self._is_given_up.wait()
-        message = f"wristband {self._device} stays out of reach; bring it to the dongle"
+        message = f"wristband {self._device} stays out of range; bring it near the dongle"
         raise TransportError(TransportReason.LOST, message)
 
 

@@ -158,7 +158,7 @@ class LineRate:
             return
         if self._wrong_hz and abs(hz / self._wrong_hz - 1) <= TOLERANCE:
             self.complaint = (
-                f"lines come {hz:.3g} times a second, and the setting `rate_hz` is "
+                f"lines come {hz:.3g} times per second, but the setting `rate_hz` is "
                 f"{self._nominal_hz:g}; set `rate_hz = {hz:.3g}`"
             )
         self._wrong_hz = hz
@@ -266,19 +266,19 @@ class LineDriver:
             worst = [each for each in bad if each.flaw is flaw][-1]
             advice = ""
             if flaw is Flaw.NOT_TEXT and self._settings.port is not None:
-                advice = f"; is baud_rate = {self._settings.baud_rate} what the device has?"
+                advice = f"; does the device use baud_rate = {self._settings.baud_rate}?"
             message = f"{self._where}: {_line(worst)}{advice}"
             return ProtocolError(ProtocolReason.UNSUPPORTED, message)
         if self._came_bytes:
             message = (
-                f"{self._where}: {self._came_bytes} bytes came without the end of a line; look at "
+                f"{self._where}: {self._came_bytes} bytes came without a line end; check "
                 "baud_rate and format, and whether the device ends its lines"
             )
             return ProtocolError(ProtocolReason.UNSUPPORTED, message)
-        advice = "does the device send, and to here?"
+        advice = "is the device sending, and to this computer?"
         if self._settings.openearable_sensor:
             advice = f"switch {self._settings.openearable_sensor} on in the app"
-        message = f"{self._where}: nothing came for {self._wait_s:.0f} s; {advice}"
+        message = f"{self._where}: nothing arrived for {self._wait_s:.0f} s; {advice}"
         return TransportError(TransportReason.ABSENT, message)
 
 
@@ -391,10 +391,10 @@ class _UdpLink:
     def _refusal(self, error: OSError) -> TransportError:
         name = f"UDP port {self._port}"
         if error.errno == errno.EADDRINUSE:
-            advice = "another program, or another device, has it; choose another number for both"
+            advice = "another program or device uses it; choose another number for both"
             return TransportError(TransportReason.BUSY, f"{name}: {advice}")
         if error.errno in (errno.EACCES, errno.EPERM):
-            advice = "the system keeps it; choose a number above 1023"
+            advice = "the system reserves it; choose a number above 1023"
             return TransportError(TransportReason.DENIED, f"{name}: {advice}")
         message = f"{name}: it is not available ({error.strerror or error})"
         return TransportError(TransportReason.UNAVAILABLE, message)

@@ -245,8 +245,7 @@ class LineEmitter:
         # Its original bytes are no longer known, so its number of values is counted.
         self._sink.dropped_bytes += len(row)
         self._log.warn_once(
-            "a line is left out: neither the one before nor the one behind has a count or time "
-            "that fits its own"
+            "a line is left out: its count or time fits neither the line before nor the line after"
         )
 
     def _is_placed(self, row: Row) -> bool:
@@ -307,8 +306,8 @@ class LineEmitter:
         """Emit the lines from before the restart, and reset count and time."""
         # nothing is dropped: `_emit` sends what came before
         self._log.warning(
-            "the device counts again; if it was not restarted, set sequence_turns_over_at or "
-            "time_turns_over_at to where it turns over"
+            "the device's count started again; if it was not restarted, set "
+            "sequence_turns_over_at or time_turns_over_at to where it turns over"
         )
         self._emit(batch, arrival_s)
         batch.rows, batch.device_s = [], []

@@ -101,7 +101,7 @@ class OpenEarableLink:
             if event == "stream":
                 return received
             why = _error(message) or "is the wearable still connected to it?"
-            text = f"{self._where} has ended the values of {self._asked.sensor}; {why}"
+            text = f"{self._where} has stopped sending {self._asked.sensor}; {why}"
             raise TransportError(TransportReason.LOST, text)
 
     async def send(self, text: str) -> None:
@@ -163,7 +163,7 @@ class OpenEarableLink:
             units = {each: unit for unit, each in _EXPONENTS.items()}
             told = units.get(cast("int", exponent), f"10^{exponent} s")
             message = (
-                f"{self._where}: the time of {wanted} is in {told}, and columns says "
+                f"{self._where}: the time of {wanted} is in {told}, but columns says "
                 f"[{self._asked.time_unit}]"
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)

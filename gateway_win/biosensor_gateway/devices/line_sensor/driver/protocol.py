@@ -137,9 +137,9 @@ class FrameProtocol:
         raw, self._dropped = bytes(self._dropped), bytearray()
         begins = bool(self._start) and raw.startswith(self._start)
         if begins and self._sum.size:
-            why, flaw = "has another checksum than it should", Flaw.CHECKSUM
+            why, flaw = "has a wrong checksum", Flaw.CHECKSUM
         elif self._start:
-            why, flaw = f"is not a record, which begins with {self._start.hex()}", Flaw.NO_FRAME
+            why, flaw = f"is not a record, which starts with {self._start.hex()}", Flaw.NO_FRAME
         else:
             why, flaw = f"is not a whole record of {self._size} bytes", Flaw.NO_FRAME
         return [BadLine(flaw, raw[:_SHOWN], len(raw), why)]
@@ -317,7 +317,9 @@ class CsvReader:
                 if tuple(values) == self._labels:
                     return None
                 shown = value[:_SHOWN_CHARACTERS]
-                return Wrong(Flaw.NOT_A_NUMBER, f"has {shown!r} in column {label}, no number")
+                return Wrong(
+                    Flaw.NOT_A_NUMBER, f"has {shown!r} in column {label}, which is not a number"
+                )
             row.append(number)
         return tuple(row)
 
@@ -331,7 +333,7 @@ class CsvReader:
 
     def _miscounted(self, line: str, count: int) -> str:
         wanted = len(self._labels)
-        said = f"has {_values(count)} between {self._separator}s, and columns names {wanted}"
+        said = f"has {_values(count)} between {self._separator}s, but columns names {wanted}"
         others = [each for each in SEPARATORS if len(_split(line, each)) == wanted]
         if line.startswith(("{", "[")):
             return f'{said}; it looks like format = "json"'
@@ -406,7 +408,7 @@ class JsonReader:
     def _of_array(self, said: list[object]) -> Row | Wrong:
         if len(said) != len(self._columns):
             wanted = len(self._columns)
-            return Wrong(Flaw.COUNT, f"has {len(said)} values, and columns names {wanted}")
+            return Wrong(Flaw.COUNT, f"has {len(said)} values, but columns names {wanted}")
         return self._row(said)
 
     def _row(self, values: Sequence[object]) -> Row | Wrong:

@@ -70,54 +70,53 @@ class LineSettings(DeviceSettings):
 
     name: Annotated[ShortText, AfterValidator(_name)] = Field(
         default="",
-        description="What topics call the device: with chest_strap they are "
-        "/biosensors/chest_strap/... Empty is line_sensor.",
+        description="The device's name in topics: with chest_strap they are "
+        "/biosensors/chest_strap/... If empty, line_sensor.",
     )
     port: str | None = Field(
         default=None,
         min_length=1,
-        description="Where the lines come from is one of three. First: a serial port, as in COM5 "
+        description="The lines come from one of three sources. First: a serial port, such as COM5 "
         "or /dev/ttyACM0, or socket://HOST:NUMBER for TCP.",
         examples=["/dev/ttyACM0"],
     )
     baud_rate: int = Field(
-        default=115200, ge=1, le=20_000_000, description="Bits a second of the serial port."
+        default=115200, ge=1, le=20_000_000, description="Baud rate of the serial port."
     )
     udp_port: int | None = Field(
         default=None,
         ge=1,
         le=65535,
-        description="Second: the UDP port of this computer that the device sends to. Each device "
+        description="Second: the UDP port of this computer to which the device sends. Each device "
         "has its own.",
     )
     url: Annotated[str | None, AfterValidator(_url)] = Field(
-        default=None, description="Third: the device's WebSocket, as in ws://192.168.1.20:81/."
+        default=None, description="Third: the device's WebSocket, such as ws://192.168.1.20:81/."
     )
     format: Literal["csv", "json", "struct"] = Field(
         default="csv",
-        description="What the device sends: csv (values between separators, a line each time), "
-        "json (an object or array in each line) or struct (bytes).",
+        description="What the device sends: csv (lines of values between separators), json (an "
+        "object or array in each line) or struct (bytes).",
     )
     separator: Literal["comma", "semicolon", "tab", "space"] = Field(
-        default="comma", description="Separator of the values of csv."
+        default="comma", description="Separator between csv values."
     )
     columns: tuple[Annotated[str, AfterValidator(_column)], ...] = Field(
         strict=False,
         max_length=MAX_COLUMNS,
         description="What each value of a line is, in their order: STREAM/LABEL [UNIT]. Without "
-        "STREAM/ it is a channel of the stream data; - is a value that nobody needs.",
+        "STREAM/ it is a channel of the stream data; - is a value that is not needed.",
         examples=[list(EXAMPLE_COLUMNS)],
     )
     sequence_column: str = Field(
         default="",
-        description="Label of the column that counts the lines, if there is one: by it losses are "
-        "known.",
+        description="Label of the column that counts the lines, if there is one: it shows losses.",
     )
     sequence_turns_over_at: int = Field(
         default=0,
         ge=0,
-        description="What the count begins again at, as 256 for one byte. 0: at 2^32, and at what "
-        "its bytes can hold in a struct.",
+        description="Where the count wraps around, such as 256 for one byte. 0: at 2^32, or in a "
+        "struct at the limit of its bytes.",
     )
     time_column: str = Field(
         default="",
@@ -127,7 +126,7 @@ class LineSettings(DeviceSettings):
     time_turns_over_at: int = Field(
         default=0,
         ge=0,
-        description="Where the time begins again. 0: at 2^32, as micros() and millis() of Arduino "
+        description="Where the time wraps around. 0: at 2^32, as micros() and millis() of Arduino "
         "do, and never in [s] and [ns].",
     )
     rate_hz: float = Field(
@@ -135,24 +134,25 @@ class LineSettings(DeviceSettings):
         ge=0,
         le=100_000,
         allow_inf_nan=False,
-        description="Lines a second; 0 if they come when they come.",
+        description="Lines per second; 0 if they come irregularly.",
     )
     irregular: tuple[str, ...] = Field(
         default=(),
         strict=False,
-        description="Streams that have no value in most lines: an empty one in csv, none in json.",
+        description="Streams without a value in most lines: an empty one in csv, none in json.",
     )
     struct_format: str = Field(
         default="",
-        description="What a record of struct is, by the letters of Python's struct: as in <IIhhhH.",
+        description="Format of a struct record, in the letters of Python's struct: such as "
+        "<IIhhhH.",
     )
     frame_start: Annotated[str, AfterValidator(_hex)] = Field(
         default="",
         max_length=32,
-        description="Bytes that each record of struct begins with, in hex digits, as in aa55.",
+        description="Bytes with which each struct record starts, in hex digits, such as aa55.",
     )
     checksum: Literal["none", "sum", "xor", "crc16"] = Field(
-        default="none", description="What follows the values of a record of struct."
+        default="none", description="What follows the values of a struct record."
     )
     start_command: str = Field(
         default="",
@@ -162,13 +162,13 @@ class LineSettings(DeviceSettings):
 
     openearable_sensor: ShortText = Field(
         default="",
-        description="Name of a sensor, as Accelerometer, that the OpenEarable app at url is asked "
-        "for: of its values the first column is the time. Empty for anything else.",
+        description="Name of a sensor, such as Accelerometer, to request from the OpenEarable app "
+        "at url: the first column of its values is the time. Empty for anything else.",
     )
     openearable_wearable: ShortText = Field(
         default="",
-        description="Name or id of the wearable in that app; empty takes the only one that is "
-        "connected to it.",
+        description="Name or id of the wearable in that app; if empty, the only one connected to "
+        "it.",
     )
 
     @property
@@ -210,9 +210,9 @@ class LineSettings(DeviceSettings):
         names = [each.data_name for each in declared]
         unknown = [each for each in self.irregular if each not in names]
         if unknown:
-            raise ValueError(f"irregular has {unknown[0]}, and the streams are {', '.join(names)}")
+            raise ValueError(f"irregular has {unknown[0]}, but the streams are {', '.join(names)}")
         if not names:
-            raise ValueError("columns has no channel besides the count and the time")
+            raise ValueError("columns has no channel other than the count and the time")
         return self
 
     def _wrong_way(self) -> list[tuple[bool, str]]:
@@ -221,7 +221,7 @@ class LineSettings(DeviceSettings):
             (len(ways) != 1, "set one of port, udp_port and url: where the lines come from"),
             (
                 self.url is not None and self.format == "struct",
-                'a WebSocket carries text here: choose format = "csv" or "json", or UDP',
+                'only text is supported over a WebSocket: choose format = "csv" or "json", or UDP',
             ),
             (
                 self.udp_port is not None and bool(self.start_command),
@@ -236,18 +236,18 @@ class LineSettings(DeviceSettings):
         return [
             (
                 is_asked and (self.url is None or self.format != "json"),
-                'the OpenEarable app needs url, as in ws://192.168.1.20:8765/ws, and format "json"',
+                'the OpenEarable app needs url, such as ws://192.168.1.20:8765/ws, and "json"',
             ),
             (
                 is_asked and (not first or first != self.time_column),
                 (
-                    'the values of the OpenEarable app begin with the time: "t [us]" as the first '
-                    'column, and time_column = "t"'
+                    'the values of the OpenEarable app start with the time: "t [us]" as the '
+                    'first column, and time_column = "t"'
                 ),
             ),
             (
                 bool(self.openearable_wearable) and not is_asked,
-                "openearable_wearable is of the app: set openearable_sensor, too",
+                "openearable_wearable is for the app: also set openearable_sensor",
             ),
         ]
 
@@ -257,7 +257,10 @@ class LineSettings(DeviceSettings):
         unit = next((each.unit for each in columns if each.label == self.time_column), "")
         return [
             *(
-                (labels.count(label) != 1, f"{key} is {label!r}, and columns has it not once")
+                (
+                    labels.count(label) != 1,
+                    f"{key} is {label!r}, but columns does not have it exactly once",
+                )
                 for key, label in (
                     ("sequence_column", self.sequence_column),
                     ("time_column", self.time_column),
@@ -284,10 +287,10 @@ class LineSettings(DeviceSettings):
         return [
             (
                 fields != len(self.columns),
-                f"struct_format has {fields} values, and columns names {len(self.columns)}",
+                f"struct_format has {fields} values, but columns names {len(self.columns)}",
             ),
             (
                 self.udp_port is None and not self.frame_start,
-                "frame_start is empty: in a stream of bytes nothing tells where a record begins",
+                "frame_start is empty: in a stream of bytes nothing shows where a record starts",
             ),
         ]

@@ -43,8 +43,8 @@ from biosensor_gateway.transports.nearby import Advertisement
 _REGULAR = frozenset({"ecg", *MOVEMENT})
 KIND = "Movesense"
 ADVICE = (
-    "snap it into its strap and put that on with wet electrodes, and end its connection to "
-    "phones and other programs"
+    "snap it into its strap and put that on with wet electrodes, and disconnect it from phones "
+    "and other programs"
 )
 ANSWER_LIMIT_S = 5.0
 REFUSAL_LIMIT_S = 0.5
@@ -57,8 +57,8 @@ class MovesenseSettings(DeviceSettings):
     device: str = Field(
         default="",
         max_length=64,
-        description="Bluetooth address of the sensor, as scan shows it, or the serial number that "
-        "is engraved on it; empty takes the only one in range.",
+        description="Bluetooth address of the sensor, as scan shows it, or the serial number "
+        "engraved on it; if empty, the only one in range.",
         examples=["174630000192"],
     )
     ecg: bool = Field(default=True, description="Whether the sensor sends its ECG.")
@@ -67,8 +67,8 @@ class MovesenseSettings(DeviceSettings):
     )
     ecg_in_millivolts: bool = Field(
         default=False,
-        description="Have the sensor itself convert the ECG: half of the bytes on the air, in "
-        "steps of 1 microvolt and up to 32 mV; needs firmware 2.3. Otherwise it sends counts of "
+        description="Let the sensor itself convert the ECG: half the bytes over the air, in steps "
+        "of 1 microvolt and up to 32 mV; needs firmware 2.3. Otherwise it sends counts of "
         "0.38 microvolts, which are converted here.",
     )
     acc: bool = Field(default=True, description="Whether the sensor sends its acceleration.")
@@ -81,7 +81,7 @@ class MovesenseSettings(DeviceSettings):
     )
     pair: bool = Field(
         default=False,
-        description="Pair before connecting, for a sensor that is set to demand it; it remembers "
+        description="Pair before connecting, for a sensor that is set to require it; it remembers "
         "one computer or phone at a time.",
     )
 
@@ -111,7 +111,7 @@ class _Conversation(BleSession[Notification, bytes]):
         """
         if not (self.link.has(COMMAND) and self.link.has(DATA)):
             message = (
-                f"{self.link.what} does not speak the GATT SensorData Protocol; update its "
+                f"{self.link.what} does not support the GATT SensorData Protocol; update its "
                 "firmware to 2.3 or newer with the Movesense app"
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
@@ -120,7 +120,7 @@ class _Conversation(BleSession[Notification, bytes]):
         self.dialogue.begin()
         answer = await self._ask(protocol.hello(HELLO_REFERENCE), HELLO_REFERENCE)
         if protocol.is_refused_greeting(answer.payload):
-            message = f"{self.link.what} refuses to talk ({answer.status}); {RESTART_ADVICE}"
+            message = f"{self.link.what} refuses to communicate ({answer.status}); {RESTART_ADVICE}"
             raise ProtocolError(ProtocolReason.REFUSED, message)
         greeting = protocol.parse_greeting(answer.payload)
         self._answers = greeting.answers

@@ -287,7 +287,7 @@ class MovesenseEmitter:
         """Unwrap a timestamp; the first one of a connection shows whether the clock restarted."""
         stamp_s = self._clock.read(stamp_ms)
         if self._restarts.counts_again(stamp_s, arrival_s):
-            self.log.info("the device was switched off and counts again")
+            self.log.info("the device was switched off, and its count started again")
             self._series = {path: each.restarted() for path, each in self._series.items()}
             self._clock.forget()
             stamp_s = self._clock.read(stamp_ms)

@@ -38,7 +38,7 @@ from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 KIND = "Muse"
-ADVICE = "switch it on (its lights run), and end its connection to phones and other programs"
+ADVICE = "switch it on (its lights run), and disconnect it from phones and other programs"
 _NAME = re.compile(r"Muse(?:S|Athena| Athena)?-(?P<number>\w+)")
 _SEPARATORS = re.compile(r"[^0-9A-Fa-f]")
 
@@ -123,27 +123,27 @@ class MuseSettings(DeviceSettings):
         default="",
         max_length=64,
         description="Bluetooth address of the headband, as scan shows it, or the four characters "
-        "of its name, as in Muse-3A1F; empty takes the only one in range.",
+        "of its name, as in Muse-3A1F; if empty, the only one in range.",
         examples=["3A1F"],
     )
     aux: bool = Field(
         default=False,
-        description="Whether the headband sends its inputs for electrodes of one's own: one of a "
-        "Muse 2 or Muse S, four of an Athena.",
+        description="Whether the headband sends its auxiliary inputs, for your own electrodes: one "
+        "on a Muse 2 or Muse S, four on an Athena.",
     )
     ppg: bool = Field(
         default=True, description="Whether a Muse 2 or Muse S sends its pulse light signals."
     )
     optics: Literal[0, 4, 8, 16] = Field(
         default=16,
-        description="How many channels of light an Athena sends at least: those between the eyes, "
-        "those of the whole forehead, or both with red and ambient light.",
+        description="Minimum number of light channels that an Athena sends: those between the "
+        "eyes, those of the whole forehead, or both with red and ambient light.",
     )
     preset: Preset = Field(
         default="",
-        description="The headband's own number of what it sends, for one that the other settings "
-        "do not lead to; empty chooses by them. Whatever it is, streams that are switched off "
-        "are not sent.",
+        description="The headband's own number for the data it sends, for one that the other "
+        "settings do not select; if empty, they select it. In any case, streams that are "
+        "switched off are not sent.",
     )
 
 
@@ -252,8 +252,8 @@ class MuseDriver:
         await self._conversation.connect()
         if not self._link.has(CONTROL) or not (self._link.has(EEG[0]) or self._is_athena):
             message = (
-                f"{self._link.what} does not offer the services of a Muse of 2016 or later; if it "
-                "is one, hold its button for 30 s, which resets it"
+                f"{self._link.what} does not offer the services of a Muse of 2016 or later; if "
+                "it is one, hold its button for 30 s to reset it"
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         await self._conversation.begin()
@@ -336,7 +336,7 @@ class MuseDriver:
                 for uuid in uuids:
                     await self._link.subscribe(uuid)
             except AttError as error:
-                denied[name] = f"nobody may subscribe to it: ATT error 0x{error.code:02X}"
+                denied[name] = f"it does not allow subscriptions: ATT error 0x{error.code:02X}"
                 if len(denied) == len(sources):
                     raise
                 # A subset of its channels would be a different signal, so all are dropped.

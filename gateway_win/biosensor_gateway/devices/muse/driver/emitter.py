@@ -245,7 +245,7 @@ class ClassicEmitter:
     def _report_late(self, rows: RowAssembler) -> None:
         late, rows.late = rows.late, 0
         if late:
-            self._sink.left_out(late, "their packet came twice, or after those of its moment")
+            self._sink.left_out(late, "their packet came twice, or too late")
 
     def _take_axes(self, name: str, unit: float, data: bytes, arrival_s: float) -> bool:
         packet = parse_motion(data, unit)
@@ -338,7 +338,7 @@ class AthenaEmitter:
         is_behind = stamp_s < self._newest[0] - TURNED_BACK_S
         if counts_again or is_behind or abs(apart_s) > LONGEST_DELAY_S + pause_s / 1000:
             # nothing is dropped: its clock starts again
-            self._log.info("the device was switched off and counts again")
+            self._log.info("the device was switched off, and its count started again")
             self._sink.restart_clock()
             for each in self._kinds.values():
                 each.series.forget()

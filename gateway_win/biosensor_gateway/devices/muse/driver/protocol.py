@@ -61,7 +61,9 @@ def encode(command: str) -> bytes:
     """
     body = (command + "\n").encode("ascii")
     if not 1 < len(body) <= _LONGEST_BODY:
-        raise ValueError(f"{command!r} is not a command: 1 to {_LONGEST_BODY - 1} characters fit")
+        raise ValueError(
+            f"{command!r} is not a command: it can have 1 to {_LONGEST_BODY - 1} characters"
+        )
     return bytes((len(body),)) + body
 
 

@@ -50,9 +50,9 @@ class PolarBroadcastSettings(DeviceSettings):
     device: str = Field(
         default="",
         max_length=64,
-        description="The id printed on the strap or told by the watch (8 characters), which is the "
-        "last word of its name in scan, or its Bluetooth address; empty takes the only one in "
-        "range that advertises a heart rate.",
+        description="The id printed on the strap or shown by the watch (8 characters), which is "
+        "the last word of its name in scan, or its Bluetooth address; if empty, the only one "
+        "in range that advertises a heart rate.",
         examples=["A1B2C3D4"],
     )
 
@@ -109,10 +109,10 @@ class PolarBroadcastDriver:
 
     def _unreadable(self, found: Advertisement) -> ProtocolError:
         data = found.manufacturer_data.get(COMPANY, b"")
-        why = f"bytes came that cannot be read, {data.hex()}" if data else "it tells none"
+        why = f"unreadable bytes came, {data.hex()}" if data else "it tells none"
         message = (
-            f"{self._choice.what} is in range, but its advertisements hold no heart rate ({why}); "
-            "switch its broadcast on, or use the sensor that connects to it"
+            f"{self._choice.what} is in range, but its advertisements contain no heart rate "
+            f"({why}); switch its broadcast on, or use the sensor that connects to it"
         )
         return ProtocolError(ProtocolReason.UNSUPPORTED, message)
 
@@ -209,8 +209,8 @@ class BroadcastEmitter:
             return int(broadcast.bpm != self._last.bpm)
         if away_s > COUNTABLE_S:
             _log.warning(
-                f"was not heard for {away_s:.0f} s; what it may have measured meanwhile is not "
-                "counted as lost"
+                f"was not received for {away_s:.0f} s; what it may have measured in that time is "
+                "not counted as lost"
             )
             return 1
         return steps + COUNTS * max(0, round((away_s / PERIOD_S - steps) / COUNTS))

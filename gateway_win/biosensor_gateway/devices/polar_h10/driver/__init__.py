@@ -207,7 +207,7 @@ class PolarSession:
         if missing:
             names = [measurement.name.lower() for measurement in missing]
             self._emitter.log.warn_once(
-                "the device cannot measure all that is wanted", missing=names
+                "the device cannot measure everything requested", missing=names
             )
         await self._measurements.start([each for each in wanted if each.measurement in offered])
 
@@ -259,7 +259,7 @@ class PolarH10Settings(DeviceSettings):
         default="",
         max_length=64,
         description="Bluetooth address of the strap, as scan shows it, or the id printed on it (8 "
-        "characters); empty takes the only one in range.",
+        "characters); if empty, the only one in range.",
         examples=["A1B2C3D4"],
     )
     ecg: bool = Field(default=True, description="Whether the strap sends its ECG.")

@@ -199,7 +199,7 @@ class _SeenFrames:
             # Two late frames in a row mean that the clock was set back.
             if 0 < behind_ns < LATE_S * _NS and not self._was_late:
                 self._was_late = True
-                return "they came behind later ones, and are counted as lost"
+                return "they came after later ones, and are counted as lost"
             self._seen.clear()
         self._newest_ns[frame.series] = frame.timestamp_ns
         self._was_late = False
@@ -325,7 +325,7 @@ class PolarEmitter:
         stamp_s = header.timestamp_ns / _NS
         if not self.clock_runs and self._restarts.counts_again(stamp_s, arrival_s):
             # nothing is dropped: its clock starts again
-            self.log.info("the device was switched off and counts again")
+            self.log.info("the device was switched off, and its count started again")
             self._timelines.clear()
             self._sink.restart_clock()
         self.clock_runs = True

@@ -68,7 +68,7 @@ class PolarVeritySenseSettings(DeviceSettings):
         default="",
         max_length=64,
         description="Bluetooth address of the sensor, as scan shows it, or the id printed on it (8 "
-        "characters); empty takes the only one in range.",
+        "characters); if empty, the only one in range.",
         examples=["A1B2C3D4"],
     )
     sdk_mode: bool = Field(
@@ -87,7 +87,7 @@ class PolarVeritySenseSettings(DeviceSettings):
         ge=1,
         le=1000,
         description="Samples of light per second; the next lower rate that the sensor offers is "
-        "taken. In the SDK mode, a Verity Sense has 28, 44, 55, 135 and 176.",
+        "used. In the SDK mode, a Verity Sense has 28, 44, 55, 135 and 176.",
     )
     acc: bool = Field(default=True, description="Whether the sensor sends its acceleration.")
     acc_rate_hz: int = Field(
@@ -95,7 +95,7 @@ class PolarVeritySenseSettings(DeviceSettings):
         ge=1,
         le=1000,
         description="Samples of acceleration per second; the next lower rate that the sensor "
-        "offers is taken. In the SDK mode, a Verity Sense has 26, 52, 104, 208 and 416.",
+        "offers is used. In the SDK mode, a Verity Sense has 26, 52, 104, 208 and 416.",
     )
     acc_range_g: Literal[2, 4, 8, 16] = Field(
         default=8,
@@ -103,7 +103,7 @@ class PolarVeritySenseSettings(DeviceSettings):
     )
     gyro: bool = Field(
         default=True,
-        description="Whether the sensor sends how it turns; a Verity Sense can.",
+        description="Whether the sensor sends its rate of rotation; a Verity Sense can.",
     )
     gyro_rate_hz: int = Field(
         default=52,
@@ -113,7 +113,7 @@ class PolarVeritySenseSettings(DeviceSettings):
     )
     gyro_range_deg_s: Literal[250, 500, 1000, 2000] = Field(
         default=2000,
-        description="Fastest turn that can be measured, in deg/s; 2000 outside the SDK mode.",
+        description="Fastest rotation that can be measured, in deg/s; 2000 outside the SDK mode.",
     )
     mag: bool = Field(
         default=True,

@@ -140,7 +140,7 @@ async def _motion_calibrations(
     found = {name: calibration.stored(memory, MOTION[name].block) for name in names}
     without = [name for name, each in found.items() if each is None]
     if without:
-        _log.warning("typical values calibrate what was never calibrated", streams=without)
+        _log.warning("typical values are used where there was no calibration", streams=without)
     typical = typical_calibrations(kind, layout, present, air)
     return [(name, found[name] or each) for name, each in typical]
 
@@ -160,7 +160,7 @@ async def _memory(talk: Conversation) -> bytes:
     try:
         return (await talk.ask(messages.GET_ALL_CALIBRATION, Calibration)).data
     except ProtocolError as error:
-        _log.warning("the device does not tell its calibration", cause=str(error))
+        _log.warning("the device does not report its calibration", cause=str(error))
         return b""
 
 
@@ -238,7 +238,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
         if chips.is_test_signal:
             _log.warning("the ExG measures a test signal", port=name)
     if not signals:
-        message = f"{name}: none of its sensors is on that can be read; set sensors"
+        message = f"{name}: no sensor that can be read is on; set sensors"
         raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
     tells = chips is not None and chips.detects_lead_off and chips.use is Use.ECG
     status_at = status_places(layout) if tells else None
@@ -319,28 +319,29 @@ class Shimmer3Settings(DeviceSettings):
     sensors: str = Field(
         default=AS_IT_IS,
         max_length=100,
-        description="Which sensors are on: device for those that the Shimmer was set up with, or "
-        f"names with commas between them, of {', '.join(SENSORS)}; ecg and emg exclude each other.",
+        description="Which sensors are on: device for those that the Shimmer was configured with, "
+        f"or names separated by commas, from {', '.join(SENSORS)}; ecg and emg exclude each "
+        "other.",
     )
     rate_hz: float = Field(
         default=0.0,
         ge=0.0,
         le=FASTEST_HZ,
-        description="Sampling rate of all sensors in Hz, 1 to 2048, of which the device takes the "
-        "nearest that divides 32768; 0 leaves the one that the Shimmer was set up with.",
+        description="Sampling rate of all sensors in Hz, 1 to 2048, of which the device uses the "
+        "nearest that divides 32768; 0 keeps the one that the Shimmer was configured with.",
     )
     exg_bits: Literal[16, 24] = Field(
-        default=24, description="Resolution of the ecg or emg that sensors names."
+        default=24, description="Resolution of the ecg or emg in sensors."
     )
     exg_gain: Literal["usual", 1, 2, 3, 4, 6, 8, 12] = Field(
         default="usual",
-        description="Amplification of the ecg or emg that sensors names; the usual is 4 for ecg "
-        "and 12 for emg.",
+        description="Amplification of the ecg or emg in sensors; the usual is 4 for ecg and 12 for "
+        "emg.",
     )
     lead_off: bool = Field(
         default=False,
-        description="Whether the ecg that sensors names tells of electrodes that came off; for "
-        "that a current of 22 nA flows through them.",
+        description="Whether the ecg in sensors reports electrodes that came off; this sends a "
+        "current of 22 nA through them.",
     )
 
     @field_validator("sensors")

@@ -111,7 +111,7 @@ class ShimmerDriver:
         # The device may have continued to measure.
         self._emitter.kept_measuring_until(self._sink.clock())
         if not is_there:
-            message = f"{self._port}: the device has fallen silent; it is started again"
+            message = f"{self._port}: the device has gone silent; it is restarted"
             raise TransportError(TransportReason.SILENT, message)
         await self._start(self._prepared)
 

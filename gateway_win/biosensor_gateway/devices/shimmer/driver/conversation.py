@@ -254,11 +254,12 @@ class Conversation:
 
     def _no_reply(self) -> TransportError | ProtocolError:
         if not self._has_heard_bytes:
-            message = f"{self._name}: the device says nothing; switch it off and on"
+            message = f"{self._name}: the device sends nothing; switch it off and on"
             return TransportError(TransportReason.SILENT, message)
         if not self._has_heard_messages:
             message = (
-                f"{self._name}: what answers is not a Shimmer; choose its port in the settings"
+                f"{self._name}: the device that answers is not a Shimmer; choose its port in the "
+                "settings"
             )
             return ProtocolError(ProtocolReason.GARBAGE, message)
         message = f"{self._name}: the device does not answer; switch it off and on"
@@ -455,5 +456,5 @@ def refuse_if_left(changes: Mapping[str, bytes], name: str) -> None:
         ``REFUSED`` if any changes are left.
     """
     if changes:
-        message = f"{name}: the device did not take {', '.join(changes)}; switch it off and on"
+        message = f"{name}: the device did not accept {', '.join(changes)}; switch it off and on"
         raise ProtocolError(ProtocolReason.REFUSED, message)

@@ -73,7 +73,7 @@ class ShimmerSettings(DeviceSettings):
         default=128.0,
         ge=51.2,
         le=1024.0,
-        description="Sampling rate in Hz; the device takes the nearest rate that divides 32768.",
+        description="Sampling rate in Hz; the device uses the nearest rate that divides 32768.",
     )
     gsr_range: Literal["auto", 0, 1, 2, 3] = Field(
         default="auto",

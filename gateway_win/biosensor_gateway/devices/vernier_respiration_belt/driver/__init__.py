@@ -39,9 +39,7 @@ PATIENCE_S = 8.0
 """Delayed notifications may arrive together after seconds, and would be mistaken for data after a
 restart."""
 KIND = "GDX-RB"
-ADVICE = (
-    "press its button until its Bluetooth light blinks red, and end its connection to other apps"
-)
+ADVICE = "press its button until its Bluetooth light blinks red, and disconnect it from other apps"
 
 
 class VernierSettings(DeviceSettings):
@@ -50,7 +48,7 @@ class VernierSettings(DeviceSettings):
     device: str = Field(
         default="",
         description="Bluetooth address of the belt, as scan shows it, or its serial number, which "
-        "ends its Bluetooth name; empty takes the only belt in range.",
+        "is at the end of its Bluetooth name; if empty, the only belt in range.",
         examples=["0K2002Z5"],
     )
     period_ms: int = Field(

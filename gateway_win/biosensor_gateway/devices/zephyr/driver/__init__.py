@@ -56,7 +56,7 @@ TORN_FRAME_S = 1.0
 """Longest gap within a frame; recorded Bluetooth reads are up to 0.51 s apart."""
 SUMMARY_PATIENCE_S = 5.0
 
-_DENIED = "it answers no when asked for their packets; update its firmware"
+_DENIED = "it refuses to send their packets; update its firmware"
 
 
 class ZephyrSettings(DeviceSettings):
@@ -145,13 +145,14 @@ class ZephyrDriver:
                 return reply.accepted
         if self._is_hxm:
             message = (
-                f"{self._port}: what answers is a Zephyr HxM, which is not read; choose the port "
-                "of a BioHarness 3 in the settings"
+                f"{self._port}: the device that answers is a Zephyr HxM, which is not supported; "
+                "choose the port of a BioHarness 3 in the settings"
             )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         if self._protocol.dropped_bytes and not self._has_heard:
             message = (
-                f"{self._port}: what answers is not a BioHarness; choose its port in the settings"
+                f"{self._port}: the device that answers is not a BioHarness; choose its port in "
+                "the settings"
             )
             raise ProtocolError(ProtocolReason.GARBAGE, message)
         message = f"{self._port}: the device does not answer; switch it off and on"
