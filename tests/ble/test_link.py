@@ -449,7 +449,7 @@ async def test_a_scan_that_begins_too_late_finds_the_device(
     link = BleLink(choice("1"))
     error = await refusal(link.open())
     assert error.reason is TransportReason.UNAVAILABLE
-    assert "does not begin to search within 10 s" in str(error)
+    assert "does not start to search within 10 s" in str(error)
     assert (await link.open()).address == probe.address
     await link.close()
     await until(lambda: not session.runs)

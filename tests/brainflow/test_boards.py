@@ -133,7 +133,7 @@ def test_another_rate_than_the_declared_one_is_shown_and_not_only_logged(
         values = np.stack([numbers / true_hz, numbers % 256])
         emitter.take(Rows(0, float(values[0, -1]), values), 1000 + float(values[0, -1]))
     said = [*sink.watch.remarks.values()]
-    assert any("200.0 samples a second and 250 are declared" in each for each in said) == is_said
+    assert any("200.0 samples per second but 250 are declared" in each for each in said) == is_said
 
 
 # Boards of an unmodified BrainFlow, in a process of its own, under the supervisor.

@@ -199,7 +199,7 @@ def test_another_computer_must_be_allowed(host: str) -> None:
     "url", ["ws://localhost:6868", "localhost", "wss://", "wss://u:p@localhost"]
 )
 def test_only_a_secured_url_without_a_password_is_one(url: str) -> None:
-    with pytest.raises(ValidationError, match="should be like"):
+    with pytest.raises(ValidationError, match="should look like"):
         settings(url=url, allow_remote=True)
 
 

@@ -241,7 +241,7 @@ async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
                 run.assert_none_doubled(server.truth)
         assert not any(each.startswith("device_list") for each in server.requests[1:])
     told = [entry["event"] for entry in logs if entry.get("device") == ID]
-    assert told == ["the wristband is out of reach of its dongle", "the wristband is back"]
+    assert told == ["the wristband is out of range of its dongle", "the wristband is back"]
 
 
 async def test_a_manual_radio_that_is_back_is_connected_after_the_grace(

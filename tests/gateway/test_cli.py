@@ -522,8 +522,8 @@ def lab(ports: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Gene
     ("unit", "reason", "words"),
     [
         ("absent", "absent", "there is no such port"),
-        ("held", "busy", "another program holds the port"),
-        ("noisy", "garbage", "what answers is not a BioHarness"),
+        ("held", "busy", "another program is using the port"),
+        ("noisy", "garbage", "the device that answers is not a BioHarness"),
         ("mute", "no_reply", "the device does not answer"),
     ],
 )

@@ -377,9 +377,7 @@ def test_the_standby_takes_over_and_has_a_standby_then(kept_with_standby: Kept) 
     another = int(kept_with_standby.wait_for("stands by", 2))
     kept_with_standby.tell_program("end")
     assert supervisor.wait(DEADLINE_S) == 0
-    assert kept_with_standby.told == [
-        "the agent has died (killed by SIGKILL) and is started again now"
-    ]
+    assert kept_with_standby.told == ["the agent has died (killed by SIGKILL) and is restarted now"]
     assert not lives(another)
 
 
@@ -468,7 +466,7 @@ def test_status_says_when_it_is_started_again(
     for asked in ("status", "clocks"):
         outcome = run(asked)
         assert (outcome.code, outcome.out) == (1, "")
-        assert "it has died (exit code 1) and is started again in " in outcome.err
+        assert "it has died (exit code 1) and is restarted in " in outcome.err
         assert outcome.err.count("\n") == 1
     assert waiting.poll() is None
 
@@ -480,7 +478,7 @@ def test_stop_ends_who_waits(
 ) -> None:
     outcome = run("stop", "--timeout", "30")
     assert outcome.code == 0
-    assert outcome.out == "the agent had died, and is not started again\n"
+    assert outcome.out == "the agent had died, and is not restarted\n"
     # It had ended when `stop` did.
     assert not lives(waiting.pid)
     assert waiting.wait() == 0

@@ -444,8 +444,8 @@ def test_what_is_marked_undone_and_listed(agent: subprocess.Popen[bytes], tmp_pa
         1,
         "",
         (
-            "biosensor-gateway: the agent refused undo-marker: "
-            "marker 2 (baseline) is undone already\n"
+            "biosensor-gateway: the agent refused undo-marker: marker 2 (baseline) is already "
+            "undone\n"
         ),
     )
     code, out, err = command(tmp_path, "mark", "--list")
@@ -493,7 +493,7 @@ def test_other_buttons_hold_after_a_reload(tmp_path: Path) -> None:
     assert control.ask(tmp_path, "markers")["buttons"] == ["rest"]
     assert command(tmp_path, "reload")[1] == "nothing has changed for any device\n"
     (tmp_path / "settings.toml").write_text('[markers]\nbuttons = ["rest", "rest"]\n')
-    assert "no name twice" in command(tmp_path, "reload")[2]
+    assert "not have the same name twice" in command(tmp_path, "reload")[2]
     assert control.ask(tmp_path, "markers")["buttons"] == ["rest"]
 
 
@@ -507,7 +507,7 @@ def test_two_long_texts_fit_into_a_request_and_a_list(tmp_path: Path) -> None:
         assert control.ask(tmp_path, "mark", sent)["id"] == number
     listed = control.ask(tmp_path, "markers")["markers"]
     assert [each["note"] for each in listed] == [longest] * 10
-    with pytest.raises(ProtocolError, match="printable text up to 200 letters") as caught:
+    with pytest.raises(ProtocolError, match="printable text with at most 200 characters") as caught:
         control.ask(tmp_path, "mark", {"marker": f"{longest}!"})
     assert caught.value.reason is ProtocolReason.REFUSED
 

@@ -264,8 +264,10 @@ def test_it_stands_where_a_person_looks(
         page.goto(server.address)
         card = page.locator('.card[data-device^="ble_heart_rate"]')
         expect(card.locator(".refused")).to_contain_text(REPEATED)
-        expect(card.locator(".card-head .state.warn")).to_contain_text("not all as it came")
-        own = page.locator(".panel", has_text="Not all is passed on as it came")
+        expect(card.locator(".card-head .state.warn")).to_contain_text(
+            "some data was changed or dropped"
+        )
+        own = page.locator(".panel", has_text="Some data is not passed on unchanged")
         expect(own).to_contain_text("live features of Skin: stream 'Skin' has no unit")
         assert not violations(page)
         card.get_by_role("button", name="Traces and details").click()

@@ -42,7 +42,7 @@ def test_a_cut_recording(command: Command) -> None:
     assert lines[0].endswith(" bytes, in 1 place, cannot be read")
     assert lines[1].startswith("  from byte ")
     assert lines[2].split() == ["stream", "samples", "kept", "lost"]
-    assert lines[-2] == "2 streams got a footer, which counts what was kept"
+    assert lines[-2] == "2 streams got a footer with the number of samples kept"
     assert lines[-1].startswith(f"wrote {target}; ")
     assert command(str(target))[0] == 0
     again, printed, said = command(str(command.recording), command="salvage")
@@ -87,7 +87,7 @@ def test_what_is_no_recording_is_a_wrong_command(command: Command, tmp_path: Pat
 def test_nothing_to_salvage_fails(command: Command, tmp_path: Path) -> None:
     code, printed, said = command(str(command.recording), content=CUT[:100], command="salvage")
     assert (code, printed) == (1, "")
-    assert "holds no sample that can be read" in said
+    assert "holds no readable samples" in said
     assert [each.name for each in tmp_path.iterdir()] == ["study.xdf"]
 
 

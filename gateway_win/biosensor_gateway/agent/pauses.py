@@ -104,7 +104,7 @@ def save_pauses(folder: Path, pauses: Iterable[Pause]) -> None:
 def _pause(entry: Mapping[str, Any]) -> Pause:
     texts = [cast("object", entry[name]) for name in _FIELDS]
     if not all(isinstance(text, str) for text in texts):
-        raise ValueError("a name is not a text")
+        raise ValueError("a name is not text")
     return Pause(DeviceIdentity(*cast("list[str]", texts)), datetime.fromisoformat(entry["since"]))
 
 

@@ -229,9 +229,7 @@ def _ask_first(file: Path, changes: dict[str, Any]) -> None:
         f"a recording is running, to {file}, and from then on it may hold nothing from "
         f"{listed(lost)}"
     )
-    _confirm(
-        sentence, ["Leave it until the recording has ended", "Read the settings now all the same"]
-    )
+    _confirm(sentence, ["Leave it until the recording has ended", "Read the settings now anyway"])
 
 
 def _confirm(sentence: str, choices: Sequence[str]) -> None:

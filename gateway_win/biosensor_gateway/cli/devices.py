@@ -264,9 +264,9 @@ def _title(device: DeviceSettings) -> str:
 def _tested(devices: Sequence[DeviceSettings]) -> str | None:
     for device in devices:
         while not _passes(device):
-            choices = ["Test it again", "Stream all the same", "Go back"]
+            choices = ["Test it again", "Stream anyway", "Go back"]
             chosen = menu(f"{_title(device)}: the test found the problems above.", choices)
-            if chosen == choices.index("Stream all the same"):
+            if chosen == choices.index("Stream anyway"):
                 break
             if chosen == choices.index("Go back"):
                 return None

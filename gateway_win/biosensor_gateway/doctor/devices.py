@@ -459,7 +459,7 @@ def _linux_sleep() -> str | None:
 
 def _windows_sleep() -> str | None:
     seconds = _sleep_timeout_s()
-    return f"after {seconds / 60:g} minutes on mains power power" if seconds else None
+    return f"after {seconds / 60:g} minutes on mains power" if seconds else None
 
 
 def _battery() -> Iterator[Finding]:

@@ -364,8 +364,8 @@ class _Starter:
                     continue
                 if set(missed) & set(required) or (missed and len(missed) == len(wanted)):
                     message = (
-                        f"{recording.recorder} does not find {titles(missed, _MOST_MISSED)}; look "
-                        "for what is in the way with: biosensor-gateway doctor"
+                        f"{recording.recorder} does not find {titles(missed, _MOST_MISSED)}; "
+                        "find out why with: biosensor-gateway doctor"
                     )
                     raise RecorderError(RecorderReason.STREAMS_MISSING, message)
                 failed.pop_all()

@@ -162,7 +162,7 @@ class _Looking:
         if not (self._person.owns_label or _recorded_as(folder)):
             why = "a folder of a data set that has the person's label, and does not say whose it is"
             return Step(folder, Action.LOOK, why)
-        return Step(folder, Action.DELETE, "the folder of the person in a data set")
+        return Step(folder, Action.DELETE, "the person's folder in a data set")
 
     def _of_file(self, path: Path) -> Step | None:
         try:
