@@ -106,7 +106,7 @@ class SampleTimeline:
 
     def __init__(self, period_s: float) -> None:
         if not (math.isfinite(period_s) and period_s > 0.0):
-            raise ValueError(f"a sampling period is positive, not {period_s}")
+            raise ValueError(f"a sampling period must be positive, not {period_s}")
         self._period = period_s
         self._tolerance = max(TIMELINE_TOLERANCE_S, period_s / 2)
         self._next: float | None = None
@@ -176,7 +176,7 @@ class MonotonicStamps:
         emitted: list[float] = []
         for stamp in stamps:
             if not math.isfinite(stamp):
-                raise ValueError(f"a stamp must be finite, got {stamp}")
+                raise ValueError(f"a timestamp must be finite, got {stamp}")
             if stamp <= self._last:
                 self._corrections += 1
                 self._last = max(

@@ -211,7 +211,7 @@ class DeviceClock:
         """Map many device times; an empty list needs no observation before."""
         _require_readings(*device_times)
         if device_times and self._envelope is None:
-            raise RuntimeError("a device clock maps nothing before its first observation")
+            raise RuntimeError("a device clock cannot map times before its first observation")
         return self._mapping.all_at(device_times, self._device_origin, self._lsl_origin)
 
     @property

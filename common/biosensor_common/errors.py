@@ -154,11 +154,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 _ERROR_SHARING_VIOLATION = 32
 """Windows' error of a file that another program has open."""
 _ADVICE = {
-    errno.EACCES: "choose another place, or have yourself allowed to write there",
-    errno.EPERM: "choose another place, or have yourself allowed to write there",
+    errno.EACCES: "choose another place, or get permission to write there",
+    errno.EPERM: "choose another place, or get permission to write there",
     errno.EROFS: "choose a place on another disk",
-    errno.ENOSPC: "make room on that disk, or choose a place on another one",
-    errno.EDQUOT: "make room there, or choose a place on another disk",
+    errno.ENOSPC: "free some space on that disk, or choose a place on another one",
+    errno.EDQUOT: "free some space there, or choose a place on another disk",
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.ENOENT: "make its folder first, or choose another place",
     errno.ENOTDIR: "choose a place in a folder",

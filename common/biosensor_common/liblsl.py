@@ -72,9 +72,9 @@ def remedy(install_pylsl: str = "") -> str:
     pip = f"{sys.executable} -m pip install"
     if sys.platform != "linux" or _brings(platform.machine() == "x86_64", _GLIBC_OF_PYLSL):
         return install_pylsl or f"run: {pip} --force-reinstall pylsl"
-    own = f"set {VARIABLE} to a liblsl.so of {_RELEASES}, or build it"
+    own = f"set {VARIABLE} to a liblsl.so from {_RELEASES}, or build it"
     if _brings(platform.machine() in {"x86_64", "aarch64"}, _GLIBC_OF_OTHERS):
-        return f"run: {pip} --no-deps mne-lsl, which brings one that is found; or {own}"
+        return f"run: {pip} --no-deps mne-lsl, which includes one that is found; or {own}"
     return own
 
 

@@ -322,7 +322,7 @@ def _member(core: CoreFields, kind: type[_E], text: str) -> _E:
     try:
         return kind(text)
     except ValueError as error:
-        message = f"{core}: {text!r} is no known {kind.__name__}"
+        message = f"{core}: {text!r} is not a known {kind.__name__}"
         raise SpecError(SpecReason.INVALID, message) from error
 
 

@@ -24,7 +24,7 @@ MOST_BYTES = 1_000_000
 def missing(count: int, name: str) -> str:
     """Return the sentence about lines that were dropped because the output was blocked."""
     lines = "line is" if count == 1 else "lines are"
-    return f"{count} {lines} missing here: the {name} took no output"
+    return f"{count} {lines} missing here: the {name} accepted no output"
 
 
 class NonblockingWriter:

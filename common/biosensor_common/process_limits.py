@@ -183,7 +183,7 @@ def end_within(limit_s: float = END_S, code: int = 1) -> None:
 
 def _end(limit_s: float, code: int) -> None:
     time.sleep(limit_s)
-    sentence = f"it has not ended by itself within {limit_s:g} s, so it is ended now\n"
+    sentence = f"it has not ended within {limit_s:g} s, so it is being ended now\n"
     # The reader of stderr may be gone.
     with suppress(OSError):
         os.write(_STDERR, sentence.encode())

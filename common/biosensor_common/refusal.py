@@ -61,14 +61,14 @@ class Refusal(Enum):
     )
     SAME_SOURCE = _standing(
         "same_source",
-        "another sender has the same source_id, name and type; that on {hosts} is not "
-        "published: give each sender a source_id of its own",
+        "another sender has the same source_id, name and type; that on {hosts} is not published: "
+        "give each sender its own source_id",
         _ERROR,
     )
     SECOND_SENDER = _standing(
         "second_sender",
-        "{senders} senders have the same source_id, name and type, on {hosts}; each has a "
-        "topic of its own, in the order of their starts: give each a source_id of its own",
+        "{senders} senders have the same source_id, name and type, on {hosts}; each has its own "
+        "topic, in the order of their starts: give each its own source_id",
     )
     EITHER_SENDER = _standing(
         "either_sender",
@@ -163,8 +163,8 @@ class Refusal(Enum):
     OTHER_TYPE = _standing("other_type", "{types} is also published on it; only {sent} is sent")
     MIXED = _standing(
         "mixed",
-        "{publishers} publishers of it are known: their messages are mixed in one stream, and how "
-        "many are lost on the way is unknown; give each a topic of its own",
+        "{publishers} publishers of it are known: their messages are mixed in one stream, and "
+        "how many are lost on the way is unknown; give each its own topic",
     )
     SENT_TWICE = _standing(
         "sent_twice",
@@ -221,8 +221,8 @@ class Refusal(Enum):
     IMPLAUSIBLE = _passing("implausible", "{samples} {were} not sent: {why}")
     FLAT = _standing(
         "flat",
-        "{channels} not changed for {limit_s:g} s or longer, so this is not a signal of a body:"
-        " check electrode, contact with the skin, cable, and the settings of the device",
+        "{channels} not changed for {limit_s:g} s or longer, so this is not a body signal: check "
+        "electrode, contact with the skin, cable, and the settings of the device",
     )
     PAUSED = _passing("paused", "{samples} {were} suppressed because of a pause")
     WAITED_TOO_LONG = _passing(

@@ -57,7 +57,7 @@ def measure_offset_ns(
         If `rounds` is less than 1.
     """
     if rounds < 1:
-        raise ValueError(f"an offset takes at least one round, not {rounds}")
+        raise ValueError(f"an offset needs at least one round, not {rounds}")
     brackets: list[tuple[int, int]] = []
     for _ in range(rounds):
         before, lsl, after = system_ns(), lsl_s(), system_ns()

@@ -93,7 +93,7 @@ class ChannelSpec:
                 )
                 raise SpecError(SpecReason.INVALID, f"channel {self.label!r}: {rule}")
         if self.role is not None and self.unit != self.role.unit:
-            rule = f"what has the role {self.role} is in {self.role.unit}, not in {self.unit}"
+            rule = f"the role {self.role} requires the unit {self.role.unit}, not {self.unit}"
             raise SpecError(SpecReason.INVALID, f"channel {self.label!r}: {rule}")
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             rule = f"between {self.bounds[0]:g} and {self.bounds[1]:g} there is no value"

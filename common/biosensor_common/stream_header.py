@@ -139,7 +139,9 @@ def _number(block: ET.Element, name: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        message = f"a <replay> block has {text[:_MAX_CHARACTERS]!r} as <{name}>, not a number"
+        message = (
+            f"a <replay> block has {text[:_MAX_CHARACTERS]!r} as <{name}>, which is not a number"
+        )
         raise SpecError(SpecReason.INVALID, message)
     return number
 

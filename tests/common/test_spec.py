@@ -131,7 +131,7 @@ def test_a_unit_that_a_reader_would_stumble_over_is_refused(unit: str) -> None:
 def test_what_has_a_role_is_in_its_unit_and_the_only_one() -> None:
     for role in ChannelRole:
         assert channels(role.unit, "value", roles=[role])[0].role is role
-    with pytest.raises(SpecError, match="'value': what has the role contact is in boolean, not"):
+    with pytest.raises(SpecError, match="'value': the role contact requires the unit boolean, not"):
         channels(Unit.PERCENT, "value", roles=[ChannelRole.CONTACT])
     twice = channels(Unit.BOOLEAN, "a", "b", roles=[ChannelRole.CONTACT] * 2)
     assert "same role" in refused(ECG, channels=twice, message_type=MessageType.FLOAT32_MULTI_ARRAY)

@@ -384,7 +384,7 @@ def test_what_does_not_fit_is_counted_in_its_place(held: Held) -> None:
     assert writer.flush(DEADLINE_S)
     writer.put(b"4\n")
     assert writer.close(DEADLINE_S)
-    said = b"[3 lines are missing here: the disk took no output]\n"
+    said = b"[3 lines are missing here: the disk accepted no output]\n"
     assert held.lines == [b"first\n", b"1\n", b"2345\n", said, b"4\n"]
     assert held.ended == 1
 
@@ -396,7 +396,7 @@ def test_what_is_missing_at_the_end_is_said_as_well(held: Held) -> None:
     writer.put(b"2\n")
     held.is_released.set()
     assert writer.close(DEADLINE_S)
-    said = b"[1 line is missing here: the disk took no output]\n"
+    said = b"[1 line is missing here: the disk accepted no output]\n"
     assert held.lines == [b"first\n", b"1\n", said]
 
 

@@ -133,7 +133,7 @@ async def assert_counted(device: VirtualDevice, run: Run, kind: FaultKind) -> No
 
 
 def is_silent(run: Run, data_name: str) -> bool:
-    """Tell whether nothing has come for long; a connection to a service may outlast it."""
+    """Tell whether nothing received for long; a connection to a service may outlast it."""
     return run.sink.clock() - run.sink.times[data_name][-1] > SILENT_S
 
 

@@ -68,8 +68,8 @@ def test_programs_that_are_not_there_or_hang(
     [
         (None, 500, Level.OK, "does not limit"),
         (65536, 108, Level.OK, "65536 files, which is enough to send 3273 streams"),
-        (1024, 20, Level.NOTE, "1024 files, which is enough to send 48 streams, or to receive 80"),
-        (1024, 60, Level.ERROR, "the streams of the settings are 60"),
+        (1024, 20, Level.NOTE, "1024 files, which is enough to send 48 streams or receive 80"),
+        (1024, 60, Level.ERROR, "the settings have 60 streams"),
     ],
 )
 def test_the_limit_of_open_files_is_judged_by_the_streams_that_fit(
@@ -194,7 +194,7 @@ def test_programs_that_set_the_clock_against_each_other() -> None:
     for programs in (["chronyd", "systemd-timesyn"], ["chronyd", "phc2sys", "ptp4l"]):
         quarrel, kept = computer.judge_clock(programs, synchronised)
         assert (quarrel.level, kept.level) == (Level.WARNING, Level.OK)
-        assert quarrel.fix.startswith("keep one of them")
+        assert quarrel.fix.startswith("keep only one of them")
     # timemaster lets phc2sys speak to chronyd only.
     (kept,) = computer.judge_clock(["chronyd", "phc2sys", "ptp4l", "timemaster"], synchronised)
     assert kept.level is Level.OK
@@ -292,7 +292,7 @@ Show = Callable[..., list[Finding]]
 
 @pytest.fixture
 def show(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) -> Show:
-    """Examine a computer that has these adapters, and multicast goes by that address."""
+    """Examine a computer that has these adapters, and multicast leaves through that address."""
 
     def examined(*adapters: Interface, way: str = "") -> list[Finding]:
         monkeypatch.setattr(network, "adapters", lambda: list(adapters))
@@ -313,7 +313,7 @@ def test_a_network_is_all_right(show: Show) -> None:
     found = show(LO, CABLE, way="10.77.0.1")
     assert [each.what for each in found] == [
         "eth0 (10.77.0.1) is up",
-        "multicast goes by eth0 (10.77.0.1) first",
+        "multicast leaves through eth0 (10.77.0.1) first",
     ]
     assert not above_ok(found)
 
@@ -346,7 +346,7 @@ def test_several_networks_are_a_note(show: Show) -> None:
 
 @pytest.mark.nightly
 def test_a_cable_between_two_computers_is_a_note(show: Show) -> None:
-    found = only(above_ok(show(DOCKER, CABLE)), "prefers no way for multicast")
+    found = only(above_ok(show(DOCKER, CABLE)), "has no preferred route for multicast")
     assert found.level is Level.NOTE
     assert "224.0.0.0/4 dev eth0" in found.fix
 

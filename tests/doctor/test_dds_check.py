@@ -54,7 +54,7 @@ def examined() -> list[Finding]:
 def test_nodes_find_each_other_and_ours_is_missed() -> None:
     found = examined()
     assert "rmw_fastrtps_cpp" in only(found, "a node of this computer is found here in ").what
-    missed = only(found, "no node called lsl_to_ros is there")
+    missed = only(found, "there is no node lsl_to_ros")
     assert missed.level is Level.NOTE
     assert f"(domain {os.environ['ROS_DOMAIN_ID']}, 0 other nodes)" in missed.what
 
@@ -64,14 +64,14 @@ def test_our_node_is_there(stay: Stay) -> None:
     stay("lsl_to_ros")
     stay("camera")
     there = only(examined(), "/lsl_to_ros is there")
-    assert (there.level, there.what.endswith(", 2 nodes in all)")) == (Level.OK, True)
+    assert (there.level, there.what.endswith(", 2 nodes in total)")) == (Level.OK, True)
 
 
 @pytest.mark.nightly
 def test_our_node_twice_is_an_error(stay: Stay) -> None:
     stay("lsl_to_ros")
     stay("lsl_to_ros")
-    twice = only(examined(), "2 nodes are called /lsl_to_ros")
+    twice = only(examined(), "2 nodes have the name /lsl_to_ros")
     assert (twice.level, "namespace:=NAME" in twice.fix) == (Level.ERROR, True)
 
 

@@ -240,7 +240,7 @@ def test_guessing_ends_soon(session: str) -> None:
             (finding,) = outcome_of_guess.report.findings
             assert finding.what.startswith(f"{OTHER} shows another code")
         assert isinstance(outcome.exception(WAIT_S), CredentialError)
-    assert said == [f"{LOCAL} does not know the code, and was refused"] * MAX_TRIES
+    assert said == [f"{LOCAL} does not know the code and was refused"] * MAX_TRIES
     with pytest.raises(sides.UnreachedError):
         sides.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, answerer.code)
 
@@ -257,7 +257,7 @@ def test_nobody_is_waited_for_for_ever(session: str, monkeypatch: pytest.MonkeyP
         error = outcome.exception(WAIT_S)
     assert isinstance(error, TransportError)
     assert error.reason is TransportReason.SILENT
-    assert said == [f"{LOCAL} said nothing for 0.2 s; start both sides again"]
+    assert said == [f"{LOCAL} sent nothing for 0.2 s; start both sides again"]
 
 
 WRONG: list[tuple[tuple[str, ...], object]] = [
@@ -392,7 +392,7 @@ def test_windows_gets_its_own_command_and_the_answer_goes_to_the_right_side(
     assert command in finding.fix
     # From the robot's side it is the other computer that has to be opened.
     (mirrored,) = bad(judge(deaf, closed))
-    assert mirrored.what == "lab-pc does not let in TCP 16572 to 16827 from this computer"
+    assert mirrored.what == "lab-pc blocks TCP 16572 to 16827 from this computer"
     assert mirrored.fix.startswith("on lab-pc, as administrator: netsh")
     # Through a VPN, who is to be let in is no neighbour.
     far = replace(closed, computer=replace(closed.computer, is_near=False))
@@ -406,7 +406,7 @@ def test_only_the_firewall_that_is_on_is_named(pc: End, robot: End) -> None:
         arrivals=arrivals(discovery=False, multicast=(), udp=NONE),
     )
     (finding,) = bad(judge(replace(pc, look=UNSEEN), replace(shut, look=UNSEEN)))
-    assert finding.what == "robot does not let in UDP 16571, 16572 to 16827 from this computer"
+    assert finding.what == "robot blocks UDP 16571, 16572 to 16827 from this computer"
     assert finding.fix == (
         "on robot, with ufw: sudo ufw allow 16571/udp && sudo ufw allow 16572:16827/udp"
     )
@@ -436,7 +436,7 @@ def test_known_peers_make_up_for_multicast(pc: End, robot: End) -> None:
 
 def test_what_no_port_explains_is_said_as_such(pc: End, robot: End) -> None:
     (finding,) = bad(judge(replace(pc, look=UNSEEN), robot))
-    assert finding.what.startswith("robot -> this computer: a test stream is not found in any way")
+    assert finding.what.startswith("robot -> this computer: a test stream is not found at all")
     assert "python3 -m lsl_to_ros.doctor" in finding.fix
 
 
@@ -446,8 +446,11 @@ def test_what_no_port_explains_is_said_as_such(pc: End, robot: End) -> None:
         ({"session": "p01"}, "the LSL session is default on this computer and p01 on robot"),
         ({"ports": Ports(16571, 17000, 17255)}, "LSL's port of the first stream is 16572"),
         ({"ports": Ports(16600, 16572, 16827)}, "LSL's port of discovery is 16571"),
-        ({"keeps_to_itself": True}, "LSL on robot keeps to its own computer"),
-        ({"address": "172.17.0.2"}, "this computer reaches robot on 10.0.0.2, but that is 172."),
+        ({"keeps_to_itself": True}, "LSL on robot is restricted to its own computer"),
+        (
+            {"address": "172.17.0.2"},
+            "this computer reaches robot on 10.0.0.2, but its own address is 172.",
+        ),
     ],
 )
 def test_what_is_set_up_differently(
@@ -506,7 +509,7 @@ def test_the_table_has_a_column_for_each_direction(pc: End, robot: End) -> None:
         ("  found when asked for directly", "NO", "yes"),
         ("  received", "NO", "yes"),
         ("  round trip", "NO", "2.0 ms"),
-        ("streams that are seen", "1 of 1", "-"),
+        ("streams seen", "1 of 1", "-"),
         ("  whose port opens", "0 of 1", "-"),
     ]
 

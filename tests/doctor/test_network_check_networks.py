@@ -173,7 +173,7 @@ def test_multicast_does_not_get_through_one_way(said: dict[str, Said]) -> None:
     assert (asked.code, answered.code) == (1, 1)
     cause, consequence = asked.errors
     assert cause["what"].startswith("multicast from robot does not reach this computer")
-    assert "Asked for directly (KnownPeers), they are found" in cause["why"]
+    assert "When asked for directly (KnownPeers), they are found" in cause["why"]
     assert cause["fix"] == (
         "on robot, start the node with: ros2 launch lsl_to_ros lsl_to_ros.launch.py "
         f'known_peers:="[{LAB_PC}]"'
@@ -185,7 +185,7 @@ def test_multicast_does_not_get_through_one_way(said: dict[str, Said]) -> None:
 def test_the_port_of_discovery_is_blocked_on_the_other_side(said: dict[str, Said]) -> None:
     asked = said["no discovery"].asked
     cause, *_ = asked.errors
-    assert cause["what"] == "robot does not let in UDP 16571 from this computer"
+    assert cause["what"] == "robot blocks UDP 16571 from this computer"
     assert cause["fix"].startswith("on robot, with ufw: sudo ufw allow 16571/udp\n")
 
 
@@ -196,12 +196,10 @@ def test_tcp_is_blocked_on_the_side_that_asks_until_the_command_opens_it(
     assert answered is not None
     assert (asked.code, answered.code) == (1, 1)
     cause, consequence = asked.errors
-    assert cause["what"] == "this computer does not let in TCP 16572 to 16827 from robot"
+    assert cause["what"] == "this computer blocks TCP 16572 to 16827 from robot"
     assert "no data of this computer reaches robot" in cause["why"]
     assert consequence["what"] == "robot sees, but cannot receive from this computer: ecg, eda"
-    assert (
-        answered.errors[0]["what"] == "lab-pc does not let in TCP 16572 to 16827 from this computer"
-    )
+    assert answered.errors[0]["what"] == "lab-pc blocks TCP 16572 to 16827 from this computer"
     assert "tcp dport" in command
     assert "udp" not in command
     assert again is not None
@@ -214,6 +212,6 @@ def test_nothing_of_the_other_side_can_be_reached(said: dict[str, Said]) -> None
     assert asked.code == 1
     assert cause["what"] == f"nothing comes back from TCP 16827 of {ROBOT}"
     assert "None of its streams answers either" in cause["why"]
-    assert f"on {ROBOT}, the command that stands below the code there" in cause["fix"]
+    assert f"on {ROBOT}, the command shown below the code there" in cause["fix"]
     assert "with ufw, for instance: sudo ufw allow 16572:16827/tcp" in cause["fix"]
     assert "or the other way round, here: biosensor-gateway doctor --answer" in cause["fix"]

@@ -141,7 +141,7 @@ def judged(
 def test_the_rule_of_the_installer_is_read() -> None:
     profiles = frozenset({"Domain", "Private"})
     assert read_rule(INSTALLED) == Rule(NAME, allows=True, program=EXE, profiles=profiles)
-    assert judged(INSTALLED) == [(Level.OK, f"the firewall lets this program in: {NAME!r}")]
+    assert judged(INSTALLED) == [(Level.OK, f"the firewall allows this program: {NAME!r}")]
     assert judged(INSTALLED, network=None)[0][0] is Level.OK
 
 
@@ -186,13 +186,13 @@ def test_rules_for_something_else_are_left_out(other: str) -> None:
 def test_a_rule_of_that_name_alone_is_no_proof(written: str, why: str) -> None:
     *blocking, (level, what) = judged(written)
     assert level is Level.NOTE
-    assert what.startswith("no rule of the firewall lets TCP and UDP in to this program")
+    assert what.startswith("no firewall rule allows TCP and UDP to this program")
     assert f"the rule {NAME!r} {why}" in what
     assert bool(blocking) == (why == "blocks")
 
 
 def test_no_rule_at_all() -> None:
-    what = "no rule of the firewall lets TCP and UDP in to this program"
+    what = "no firewall rule allows TCP and UDP to this program"
     assert judged() == [(Level.NOTE, what)]
     assert judged(INSTALLED, network=Network.PUBLIC)[0][0] is Level.NOTE
 
@@ -210,9 +210,9 @@ def test_rules_that_block_win_over_those_that_allow() -> None:
 
 
 def test_rules_for_ports_let_every_program_in() -> None:
-    assert judged(*OF_PORTS) == [(Level.OK, "the firewall lets this program in: 'LSL'")]
+    assert judged(*OF_PORTS) == [(Level.OK, "the firewall allows this program: 'LSL'")]
     (found,) = judged(OF_PORTS[0])
-    assert found == (Level.NOTE, "no rule of the firewall lets TCP in to this program")
+    assert found == (Level.NOTE, "no firewall rule allows TCP to this program")
     half = OF_PORTS[1].replace("-16827", "-16580")
     assert judged(OF_PORTS[0], half) == [found]
     rpc = read_rule(OF_PORTS[1].replace("LPort2_10=16572-16827", "LPort=RPC"))
@@ -237,16 +237,19 @@ def test_a_firewall_that_is_off_needs_no_rule() -> None:
 def test_nothing_is_right_where_everything_is_blocked() -> None:
     shut = Treatment(lets_in=False)
     ((level, what),) = judged(INSTALLED, private=shut)
-    assert (level, "lets nobody in, in private networks" in what) == (Level.WARNING, True)
+    assert (level, "blocks all incoming connections in private networks" in what) == (
+        Level.WARNING,
+        True,
+    )
     assert judged(INSTALLED, private=shut, network=Network.DOMAIN)[0][0] is Level.OK
 
 
 def test_rules_of_a_pc_that_its_manager_does_not_merge_are_none() -> None:
     deaf = Treatment(heeds_local_rules=False)
     ((level, what),) = judged(INSTALLED, private=deaf)
-    assert (level, "only rules of who manages this PC" in what) == (Level.WARNING, True)
+    assert (level, "only the rules of this PC's administrator" in what) == (Level.WARNING, True)
     # What Windows' own question has blocked is not in force, either.
-    allowed = (Level.OK, f"the firewall lets this program in: {NAME!r}")
+    allowed = (Level.OK, f"the firewall allows this program: {NAME!r}")
     blocked = CANCELLED.format(6)
     assert judged(INSTALLED, blocked, of_domain=[INSTALLED], private=deaf) == [allowed]
     assert judged(INSTALLED, of_domain=[blocked], private=deaf)[0][0] is Level.WARNING

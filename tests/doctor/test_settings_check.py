@@ -244,7 +244,7 @@ def test_too_few_free_ports_are_an_error(
     assert found.level is Level.ERROR
     assert "UDP" in found.what
     # Seven streams and the agent's own, two ports each.
-    assert "the streams of the settings need 16" in found.what
+    assert "the streams in the settings need 16" in found.what
     assert (str(ports[0]) in found.fix) == (sys.platform == "linux")
 
 
@@ -263,7 +263,7 @@ def test_discovery_that_another_program_has_alone(
     hold(UDP, ports[0] - 1)
     (found,) = above_ok(examine(context, "ports"))
     assert found.level is Level.ERROR
-    assert found.what.startswith(f"UDP {ports[0] - 1} is held by ")
+    assert found.what.startswith(f"UDP {ports[0] - 1} is held exclusively by ")
     assert f"(process {os.getpid()})" in found.what
 
 

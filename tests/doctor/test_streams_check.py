@@ -44,7 +44,7 @@ def test_nothing_is_there(
     del session
     monkeypatch.setattr(streams, "SEARCH_S", 0.5)
     assert [each.what for each in examine(context, "streams")] == [
-        "no LSL stream is there at the moment"
+        "there is no LSL stream at the moment"
     ]
 
 
@@ -72,17 +72,17 @@ def test_real_streams_with_real_mistakes(
     # Other programs of this computer may have the low ports.
     bad = {what: each for what, each in bad.items() if each.level is not Level.NOTE}
     assert {what: each.level for what, each in bad.items()} == {
-        "2 streams are called twin": Level.WARNING,
+        "2 streams have the name twin": Level.WARNING,
         f"2 streams have the source_id {SAME}": Level.ERROR,
         "without a source_id": Level.WARNING,
-        "with a source_id that pylsl made up": Level.WARNING,
-        "of the format int64": Level.ERROR,
+        "with a source_id invented by pylsl": Level.WARNING,
+        "in the format int64": Level.ERROR,
         f"unix on {socket.gethostname()}": Level.ERROR,
     }
     assert "same-id-a" in bad[f"2 streams have the source_id {SAME}"].what
     assert bad["without a source_id"].what.endswith(": empty")
-    assert bad["with a source_id that pylsl made up"].what.endswith(": automatic")
-    assert bad["of the format int64"].what.endswith(": whole")
+    assert bad["with a source_id invented by pylsl"].what.endswith(": automatic")
+    assert bad["in the format int64"].what.endswith(": whole")
 
 
 @pytest.mark.seam
@@ -104,7 +104,7 @@ def test_each_source_id_of_another_session_is_an_error() -> None:
     found = list(streams.judge_elsewhere([theirs, replace(theirs, source_id="id-2")]))
     assert [each.level for each in found] == [Level.ERROR] * 2
     assert found[0].what == (
-        "another LSL session has the source_id id-1, too: theirs on lab-pc in session 'b'"
+        "another LSL session also has the source_id id-1: theirs on lab-pc in session 'b'"
     )
 
 
@@ -156,8 +156,8 @@ def test_streams_without_a_mistake() -> None:
     ("seen", "what"),
     [
         ((replace(GOOD, round_trip_s=0.25),), "round trip 250.00 ms"),
-        ((replace(GOOD, offset_s=None, round_trip_s=None),), "gives no time"),
-        ((replace(GOOD, source_id="-4611686018427387904"),), "pylsl made up"),
+        ((replace(GOOD, offset_s=None, round_trip_s=None),), "does not give its time"),
+        ((replace(GOOD, source_id="-4611686018427387904"),), "invented by pylsl"),
         ((replace(GOOD, stamp_error_s=-1.7e9),), "its stamps are -1700000000 s off"),
     ],
 )
@@ -235,7 +235,7 @@ def test_a_stream_that_is_not_found_is_an_error_with_the_ports(
 
     monkeypatch.setattr(streams, "by_unicast", elsewhere)
     monkeypatch.setattr(streams, "OWN_SEARCH_S", 1.0)
-    found = only(examine(context, "discovery"), "not even found")
+    found = only(examine(context, "discovery"), "not found here even")
     assert found.level is Level.ERROR
     for part in ("16571/udp", "16572:16827/tcp", "--add-port=16572-16827/udp"):
         assert part in found.fix

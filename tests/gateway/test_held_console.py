@@ -257,7 +257,7 @@ def test_what_did_not_fit_is_counted_in_its_place(
     assert came == list(range(len(came)))
     notice, again = [record for record in records if record["event"] != "filling"]
     missing = re.fullmatch(
-        r"(\d+) lines are missing here: the log file took no output", notice["event"]
+        r"(\d+) lines are missing here: the log file accepted no output", notice["event"]
     )
     assert missing is not None
     assert int(missing[1]) == LINES - len(came) > 0

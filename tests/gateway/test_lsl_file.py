@@ -144,10 +144,10 @@ def test_peers_that_liblsl_would_overlook_are_put_right() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        ("[lab]\n# mine\n", 2, "begins with ';'"),
+        ("[lab]\n# mine\n", 2, "starts with ';'"),
         ("[lab\n", 1, "']'"),
         ("[lab]\n\nSessionID =\n", 3, "key = value"),
-        ("[lab]\n ; mine\n", 2, "begins with ';'"),
+        ("[lab]\n ; mine\n", 2, "starts with ';'"),
         ("[lab]\nSessionID = a\n[lab]\nSessionID = b\n", 4, "second time"),
         ("\ufeff[lab]\n", 1, "byte order mark"),
     ],

@@ -148,7 +148,7 @@ def test_a_thread_or_loop_that_hangs_holds_up_no_end(
     process.send_signal(signal.SIGTERM)
     assert process.wait(DEADLINE_S) == 1
     assert start.story == story
-    assert start.said == "it has not ended by itself within 0.2 s, so it is ended now\n"
+    assert start.said == "it has not ended within 0.2 s, so it is being ended now\n"
 
 
 @pytest.mark.nightly

@@ -245,7 +245,7 @@ KEY = (
 EXE = rf"{BIN_FOLDER}\{PROGRAM}.exe"
 OURS = rf"v2.31|Action=Allow|Active=TRUE|Dir=In|Profile=Private|App={EXE}|Name={NAME}|"
 CANCELLED = rf"v2.31|Action=Block|Active=TRUE|Dir=In|Protocol=17|App={EXE}|Name=asked|"
-ALLOWED = "the firewall lets this program in"
+ALLOWED = "the firewall allows this program"
 
 
 def add(pc: WindowsPc, name: str, rule: str) -> None:

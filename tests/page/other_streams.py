@@ -1,4 +1,4 @@
-"""``python -m tests.page.other_streams JSON``: a program of somebody else with LSL outlets.
+"""``python -m tests.page.other_streams JSON``: another user's program with LSL outlets.
 
 The argument is a list of streams::
 

@@ -182,7 +182,7 @@ def test_both_computers_try_the_network_together(
     panel.get_by_label("Address of that computer").fill(OTHER)
     wrong = f"{(int(code) + 1) % 1_000_000:06d}"
     for typed, sentence in (
-        (wrong, f"{OTHER} shows another code; type the one that is there now"),
+        (wrong, f"{OTHER} shows another code; type the one shown there now"),
         (code, "a test stream is found when asked for directly, and received"),
     ):
         panel.get_by_label("Code").fill(typed)

@@ -50,7 +50,7 @@ OTHERS: list[dict[str, Any]] = [
 
 @contextmanager
 def other_streams(streams: Sequence[dict[str, Any]]) -> Generator[None]:
-    """Run a program of somebody else with these streams."""
+    """Run another user's program with these streams."""
     command = [sys.executable, "-m", "tests.page.other_streams", json.dumps(streams)]
     process = subprocess.Popen(command)
     try:

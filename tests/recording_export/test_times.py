@@ -349,7 +349,7 @@ ALONE = made.xdf(_stream(2, "unix", UNIX_S))
 def test_every_format_is_told_and_bids_leaves_it_out(exported: Exporting) -> None:
     outcome = exported(BOTH, "csv", "edf", "bids")
     (note,) = outcome.clock_notes
-    assert note.startswith("unix: its stamps are 169999")
+    assert note.startswith("unix: its timestamps are 169999")
     assert "unix time" in note
     missing = {
         each.format: [note for note in each.notes if isinstance(note, Missing)]

@@ -45,8 +45,8 @@ def test_what_is_of_ros_passes(arguments: tuple[str, ...]) -> None:
 
 
 WRONG = [
-    (("-p", "Chunk_Length:=5"), "-p must stand behind --ros-args"),
-    (("Chunk_Length:=5",), "Chunk_Length:=5 must stand behind --ros-args"),
+    (("-p", "Chunk_Length:=5"), "-p must come after --ros-args"),
+    (("Chunk_Length:=5",), "Chunk_Length:=5 must come after --ros-args"),
     (("--topic", *ROS), "there is no argument --topic"),
     ((*ROS, "--", "more"), "there is no argument more"),
 ]

@@ -546,7 +546,7 @@ def test_a_sensor_that_is_not_worn_is_a_warning(
     assert (status.level, status.message) == (
         (DiagnosticStatus.WARN, "not worn")
         if is_off
-        else (DiagnosticStatus.OK, "as its streams tell")
+        else (DiagnosticStatus.OK, "as its streams report")
     )
 
 

@@ -347,7 +347,7 @@ class Recorder:
     @property
     def held_back(self) -> int:
         """How many lines are said to have been held back."""
-        found = (re.search(r"\((\d+) lines were held back\)$", said) for said in self.said)
+        found = (re.search(r"\((\d+) lines were suppressed\)$", said) for said in self.said)
         return sum(int(match[1]) for match in found if match)
 
 
@@ -385,10 +385,10 @@ def test_a_sentence_is_said_once_a_minute(
     clock.now_s += 0.001
     log.warn("a")
     log.warn("a")
-    assert recorder.said == ["a", "a (1 lines were held back)"]
+    assert recorder.said == ["a", "a (1 lines were suppressed)"]
     clock.now_s += SAME_AGAIN_S
     log.warn("a")
-    assert recorder.said[2:] == ["a (1 lines were held back)"]
+    assert recorder.said[2:] == ["a (1 lines were suppressed)"]
 
 
 def test_repeating_a_sentence_does_not_put_off_its_next_time(
@@ -411,7 +411,7 @@ def test_a_burst_is_cut_off_and_counted(
     assert len(recorder.said) == BURST
     clock.now_s += 0.001
     log.warn("the next")
-    assert recorder.said[-1] == "the next (31 lines were held back)"
+    assert recorder.said[-1] == "the next (31 lines were suppressed)"
     log.warn("and one more")
     assert recorder.said[-1] == "and one more"
 
@@ -423,7 +423,7 @@ def test_what_a_burst_held_back_can_still_be_said(
         log.warn(f"stream {number}")
     clock.now_s += BURST_S
     log.warn(f"stream {BURST}")
-    assert recorder.said[-1] == f"stream {BURST} (1 lines were held back)"
+    assert recorder.said[-1] == f"stream {BURST} (1 lines were suppressed)"
 
 
 def test_every_warning_of_every_thread_is_said_or_counted(
@@ -450,7 +450,7 @@ def test_what_is_no_warning_is_limited_too(log: LimitedLog, recorder: Recorder) 
     log.inform("attached")
     log.inform("attached")
     log.warn("lost")
-    assert recorder.said == ["attached", "lost (1 lines were held back)"]
+    assert recorder.said == ["attached", "lost (1 lines were suppressed)"]
     assert recorder.levels == ["info", "warning"]
 
 

@@ -160,7 +160,9 @@ def test_who_asks_for_no_more_than_there_is_fits(offered: QoSProfile, asked: QoS
 
 def test_another_type_is_named() -> None:
     told = misfit(USUAL, USUAL, "std_msgs/msg/Int32", "/robot")
-    assert told == "/robot/client reads it as std_msgs/msg/Int32, and it is std_msgs/msg/Float32"
+    assert told == (
+        "/robot/client subscribes to it as std_msgs/msg/Int32, and it is std_msgs/msg/Float32"
+    )
 
 
 @pytest.mark.parametrize(
@@ -240,15 +242,15 @@ def test_what_does_not_come_is_missing_where_nothing_keeps_the_computer_busy() -
 def test_what_does_not_come_on_a_busy_computer_is_late() -> None:
     lines, code = summary(waiting(is_busy=True, ecg=120.0), ALL)
     assert code == EXIT_BUSY
-    assert lines[-1] == "this computer is too busy: 2 topics have not come yet"
+    assert lines[-1] == "this computer is too busy: 2 topics have not arrived yet"
     assert not any("MISSING" in line for line in lines)
     lines, _ = summary(waiting(is_busy=True, ecg=120.0, hr=121.0), ALL)
-    assert lines[-1] == "this computer is too busy: 1 topic has not come yet"
+    assert lines[-1] == "this computer is too busy: 1 topic has not arrived yet"
     # Nor is it missing where nothing has come at all.
     lines, code = summary(waiting(is_busy=True), ALL)
     assert (code, lines[-1]) == (
         EXIT_BUSY,
-        "this computer is too busy: 3 topics have not come yet",
+        "this computer is too busy: 3 topics have not arrived yet",
     )
 
 

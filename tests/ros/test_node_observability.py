@@ -139,10 +139,10 @@ def test_the_status_of_a_device_tells_of_battery_and_contact(ros: Ros) -> None:
     ros.attached(*(f"{BASE}/{data}" for data in outlets))
     device = "device p02/polar_h10_chest"
     for sent, level, message in (
-        ({"bat": 80.0, "quality": 1.0, "rssi": -60.0}, OK, "as its streams tell"),
+        ({"bat": 80.0, "quality": 1.0, "rssi": -60.0}, OK, "as its streams report"),
         ({"bat": 10.0}, WARN, "battery at 10 %"),
         ({"bat": 55.0, "quality": 0.0}, WARN, "not worn"),
-        ({"quality": 1.0}, OK, "as its streams tell"),
+        ({"quality": 1.0}, OK, "as its streams report"),
     ):
         for data, value in sent.items():
             outlets[data].push_sample([value], pylsl.local_clock())
@@ -315,6 +315,6 @@ def test_the_log_says_a_thing_once_and_how_much_was_held_back(ros: Ros, node: Ru
         assert ros.set("topic_prefix", f"flood_{number}") == ""
     windows = (time.monotonic() - begun) / LOG_WINDOW_S
     assert node.count("flood_") <= LOG_LINES * (windows + 1)
-    assert node.count("lines were held back)") >= 1
+    assert node.count("lines were suppressed)") >= 1
     assert ros.set("topic_prefix", "biosensors") == ""
     del outlets

@@ -23,12 +23,12 @@ LENGTH = 4
 BOOL, INTEGER, DOUBLE, STRING, STRINGS = 1, 2, 3, 4, 9
 # Type, whether it is read at the start only, and a word of its description.
 MEANINGS = {
-    "Sensor_Enable": (BOOL, False, "publish anything"),
+    "Sensor_Enable": (BOOL, False, "publish any topics"),
     "Chunk_Enable": (BOOL, False, "publish chunk topics"),
     "Chunk_Length": (INTEGER, False, "samples in one chunk"),
     "topic_prefix": (STRING, False, "first part of every topic"),
     "stream_predicate": (STRING, False, "LSL query"),
-    "burst_pacing": (DOUBLE, False, "in a millisecond"),
+    "burst_pacing": (DOUBLE, False, "per millisecond"),
     "session_id": (STRING, True, "LSL session"),
     "known_peers": (STRINGS, True, "hosts"),
 }

@@ -77,12 +77,12 @@ def test_a_parameter_file_holds_and_a_bad_value_in_it_ends_the_node(
 @pytest.mark.seam
 def test_what_is_wrong_ends_it_and_help_is_help(start_node: Start) -> None:
     wrong = {
-        "-p must stand behind --ros-args": ("-p", "Chunk_Length:=5"),
+        "-p must come after --ros-args": ("-p", "Chunk_Length:=5"),
         "there is no argument --simulate": ("--simulate",),
         "stream_predicate must be an LSL query": ("--ros-args", "-p", "stream_predicate:=type="),
         "sesion_id is not a parameter": ("--ros-args", "-p", "sesion_id:=lab"),
         "known_peers must be a list": ("--ros-args", "-p", "known_peers:=robot.local"),
-        "Chunk_Length must be a whole number": ("--ros-args", "-p", "Chunk_Length:=-4"),
+        "Chunk_Length must be an integer": ("--ros-args", "-p", "Chunk_Length:=-4"),
         "Chunk_Lenght is not a parameter of this node; Chunk_Length is": (
             "--ros-args",
             "-p",

@@ -281,7 +281,7 @@ def test_without_it_a_client_is_told_what_to_do(ros: Ros, start_node: Start) -> 
         return (
             found is not None
             and found.level == DiagnosticStatus.WARN
-            and "reads it as std_msgs/msg/Int32" in found.message
+            and "subscribes to it as std_msgs/msg/Int32" in found.message
             and "compat:=smartlab" in found.message
         )
 

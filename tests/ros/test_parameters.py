@@ -221,13 +221,13 @@ def test_of_a_key_that_fits_no_stream_it_is_said(make_node: MakeNode) -> None:
     parameters = Parameters(make_node())
     early = Parameter("zephyr.ecg.Chunk_Length", value=9)
     assert parameters.without_stream([early]) == [
-        "zephyr.ecg.Chunk_Length holds for no stream yet (none has arrived so far)"
+        "zephyr.ecg.Chunk_Length applies to no stream yet (none has arrived so far)"
     ]
     parameters.declare(PLAIN, "ecg", "ecg")
     typo = Parameter("zephy.Chunk_Length", value=9)
     everything = Parameter("Chunk_Length", value=9)
     assert parameters.without_stream([early, typo, everything]) == [
-        "zephy.Chunk_Length holds for no stream yet (seen so far: zephyr)"
+        "zephy.Chunk_Length applies to no stream yet (seen so far: zephyr)"
     ]
 
 

@@ -325,7 +325,7 @@ def test_a_type_that_is_not_installed_is_said_and_the_others_go_on(
     assert "hri_msgs/msg/FacialLandmarks is not installed" in ros_status(ros, "/face").message
     ros.until(lambda: ros_status(ros, "/pose").level == DiagnosticStatus.ERROR, "an error")
     assert "'position'" in ros_status(ros, "/pose").message
-    ros.until(lambda: node.count("/levels: nobody publishes it yet") == 1, "a hint")
+    ros.until(lambda: node.count("/levels: nothing publishes it yet") == 1, "a hint")
     assert node.is_running
 
 
@@ -339,7 +339,7 @@ def test_what_is_wrong_ends_it_with_one_sentence(start_node: Start) -> None:
         assert node.wait() == 2
         assert "Traceback" not in node.log
         assert node.count("ros_to_lsl:") == 1
-    assert "simulated time cannot be put on the LSL clock" in simulated.log
+    assert "simulated time cannot be converted to the LSL clock" in simulated.log
     assert shown.wait() == 0
     assert "all_small" in shown.log
 
@@ -353,7 +353,7 @@ def test_what_is_wrong_while_it_runs_is_refused_with_the_reason(
         ("all_smal", True, "all_small is"),
         ("/b.rate", 4.0, "/b is not among the topics"),
         ("/a.rates", 4.0, "a topic has no 'rates'"),
-        ("use_sim_time", True, "simulated time cannot be put"),
+        ("use_sim_time", True, "simulated time cannot be converted"),
         ("topics", "/b", "read-only"),
     ]
     for name, value, reason in wrong:

@@ -144,7 +144,7 @@ def test_an_inlet_that_is_gone_is_not_measured_any_more(
 # A computer from which nothing comes any more: soon said, of every stream, and once.
 TOPICS = tuple(f"/biosensors/zephyr/{name}" for name in ("ecg", "hr", "bat"))
 COUNTERS = "/biosensors/gateway/counters"
-SILENT = "nothing has come for"
+SILENT = "nothing received for"
 HELD_S = 3.0
 
 
@@ -184,7 +184,7 @@ def test_an_agent_that_stands_still_is_said_of_all_its_streams(
     # What is written comes by another way than the diagnostics. On a busy machine nothing may
     # come for a second time; that is said, too, and so is each return.
     ros.until(
-        lambda: before < said() == node.count("[INFO]", f"{host}: it is heard again"),
+        lambda: before < said() == node.count("[INFO]", f"{host}: data arrives again"),
         "a return of each silence",
     )
 
@@ -245,7 +245,7 @@ class Node:
 
     @property
     def has_warned(self) -> bool:
-        return any("seen again after a cut" in each for each in self.warnings)
+        return any("seen again after an interruption" in each for each in self.warnings)
 
     def look(self) -> None:
         ready, gone = self.discovery.update()

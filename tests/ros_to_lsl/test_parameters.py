@@ -110,7 +110,7 @@ WRONG: list[tuple[dict[str, Any], ConfigReason, str]] = [
     ({"topics": ["/" + "a" * 300]}, ConfigReason.WRONG_VALUE, "no name of a topic"),
     ({"topics": ["/a"], "topic": ["/b"]}, ConfigReason.UNKNOWN_KEY, "topic is not a parameter"),
     ({"topics": ["/a"], "/b.rate": 5.0}, ConfigReason.UNKNOWN_KEY, "/b is not among"),
-    ({"topics": ["/a"], "a.rate": 5.0}, ConfigReason.UNKNOWN_KEY, "spelt alike"),
+    ({"topics": ["/a"], "a.rate": 5.0}, ConfigReason.UNKNOWN_KEY, "same spelling"),
     ({"topics": ["/a"], "/a.rates": 5.0}, ConfigReason.UNKNOWN_KEY, "no 'rates'"),
     ({"topics": ["/a"], "/a.as": "text"}, ConfigReason.WRONG_VALUE, "samples, markers or json"),
     ({"topics": ["/a"], "/a.as": 1}, ConfigReason.WRONG_VALUE, "/a.as must be text"),

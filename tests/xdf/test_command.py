@@ -182,7 +182,8 @@ def test_a_recording_that_grows_is_left_alone(
         ),
         (
             ("mount -t tmpfs -o size=4k tmpfs {0}",),
-            "No space left on device; make room on that disk, or choose a place on another one",
+            "No space left on device; free some space on that disk, or choose a place on another "
+            "one",
         ),
     ],
 )

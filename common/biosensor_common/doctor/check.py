@@ -186,36 +186,38 @@ _AGENTS = partial(Check, program=AGENT)
 _AGENT = "biosensor_gateway.doctor"
 _DEVICES = f"{_AGENT}.devices"
 CHECKS = (
-    Check("versions", Category.PROGRAM, "versions and places of the programs involved", _COMPUTER),
+    Check(
+        "versions", Category.PROGRAM, "versions and locations of the programs involved", _COMPUTER
+    ),
     _AGENTS(
         "settings",
         Category.PROGRAM,
         "settings file, state folder, running agent",
         f"{_AGENT}.context",
     ),
-    Check("lsl_config", Category.LSL, "the lsl_api.cfg in force and what it says", _STREAMS),
+    Check("lsl_config", Category.LSL, "the lsl_api.cfg in use and its contents", _STREAMS),
     Check("discovery", Category.LSL, "a stream of this computer is found here", _STREAMS, 14.0),
-    Check("streams", Category.LSL, "all streams in the network", _STREAMS, 15.0),
+    Check("streams", Category.LSL, "all streams on the network", _STREAMS, 15.0),
     Check(
         "dds",
         Category.ROS,
-        "ROS nodes find each other, and the node lsl_to_ros is there once",
+        "ROS nodes find each other, and exactly one node lsl_to_ros runs",
         "lsl_to_ros.doctor.dds",
         15.0,
         NODE,
     ),
-    Check("interfaces", Category.NETWORK, "network adapters and the way of multicast", _NETWORK),
-    Check("ports", Category.NETWORK, "the ports of LSL", _NETWORK),
+    Check("interfaces", Category.NETWORK, "network adapters and the route of multicast", _NETWORK),
+    Check("ports", Category.NETWORK, "LSL's ports", _NETWORK),
     Check("linux_firewall", Category.NETWORK, "ufw and firewalld", _FIREWALL),
     Check("host_name", Category.NETWORK, "the name of this computer", _COMPUTER),
     _AGENTS(
         "windows_firewall",
         Category.NETWORK,
-        "the firewall of Windows",
+        "Windows' firewall",
         f"{_COMMON}.windows_firewall",
     ),
     _AGENTS("bluetooth", Category.DEVICES, "the Bluetooth adapter", _DEVICES, 14.0),
-    _AGENTS("serial", Category.DEVICES, "serial ports of the settings", _DEVICES),
+    _AGENTS("serial", Category.DEVICES, "serial ports in the settings", _DEVICES),
     _AGENTS(
         "services", Category.DEVICES, "vendors' services, their secrets, LabRecorder", _DEVICES
     ),
@@ -226,8 +228,8 @@ CHECKS = (
         "how many files, and so streams, a program may open",
         _COMPUTER,
     ),
-    Check("clock", Category.COMPUTER, "what keeps the clock right", _COMPUTER),
-    _AGENTS("power", Category.COMPUTER, "sleep, battery, power saving of Bluetooth", _DEVICES),
+    Check("clock", Category.COMPUTER, "clock synchronisation", _COMPUTER),
+    _AGENTS("power", Category.COMPUTER, "sleep, battery, Bluetooth power saving", _DEVICES),
 )
 """All checks, in the order in which they are shown."""
 

@@ -29,8 +29,8 @@ _PTP, _TO_SYSTEM, _MASTER = "ptp4l", "phc2sys", "timemaster"
 # The kernel cuts process names to 15 characters.
 _KERNEL_NAME = 15
 _WHY_TIME = (
-    "Stamps of ROS messages, logs and file dates of two computers drift apart. Streams within LSL "
-    "are not affected: it measures clock offsets itself."
+    "Timestamps of ROS messages, logs and file dates of two computers drift apart. Streams "
+    "within LSL are not affected: it measures clock offsets itself."
 )
 _WINDOWS_SERVICE = "w32time"
 
@@ -81,7 +81,7 @@ def _lsl(guide: Guide) -> Iterator[Finding]:
         return
     yield error(
         f"{what} is too old",
-        "Its configuration is passed on in a way that it knows since 1.17.7.",
+        "Its configuration is passed in a way that it supports since 1.17.7.",
         "remove the old library or the variable PYLSL_LIB that names it, then: "
         + guide.install_pylsl,
     )
@@ -119,10 +119,10 @@ def host_name(_context: Context) -> Iterator[Finding]:
 def judge_name(name: str) -> Finding:
     """Check a host name."""
     if _PLAIN.fullmatch(name):
-        return ok(f"this computer is called {name}")
+        return ok(f"this computer's name is {name}")
     return warning(
-        f"this computer is called {name!r}",
-        "LabRecorder cannot require streams of a computer with a blank in its name, and letters "
+        f"this computer's name is {name!r}",
+        "LabRecorder cannot require streams of a computer with a space in its name, and letters "
         "outside ASCII stop some LSL programs.",
         "Settings > System > About > Rename this PC"
         if sys.platform == "win32"
@@ -138,17 +138,17 @@ def open_files(context: Context) -> Iterator[Finding]:
 def judge_limit(limit: int | None, streams: int) -> Finding:
     """Check whether the limit of open files (None: no limit) is enough for the streams to open."""
     if limit is None:
-        return ok("the system does not limit how many files a program opens")
+        return ok("the system does not limit how many files a program can open")
     sent, received = (files.fitting(limit, each) for each in (files.OUTLET, files.INLET))
     what = (
-        f"a program may open {limit} files, which is enough to send {sent} streams, or to "
-        f"receive {received}"
+        f"a program may open {limit} files, which is enough to send {sent} streams or receive "
+        f"{received}"
     )
     if streams > sent:
         why = "Devices whose streams do not fit are left out."
-        return error(f"{what}; the streams of the settings are {streams}", why, files.fix())
+        return error(f"{what}; the settings have {streams} streams", why, files.fix())
     if sent < ENOUGH:
-        why = "Streams that do not fit are left out, of the agent and of the node."
+        why = "Streams that do not fit are left out by the agent and the node."
         return note(what, why, files.fix())
     return ok(what)
 
@@ -187,7 +187,7 @@ def judge_clock(
     shown = {key: value for key, _, value in lines}
     if not there and shown.get("NTP") != "yes":
         yield note(
-            "nothing keeps this computer's time of day right",
+            "nothing synchronises this computer's clock",
             _WHY_TIME,
             "sudo timedatectl set-ntp true\nor install chrony: sudo apt install chrony",
         )
@@ -201,7 +201,7 @@ def judge_clock(
     elif _TO_SYSTEM not in there and shown.get("NTPSynchronized") == "no":
         yield _not_synchronised(", ".join(there) or "a time service")
     else:
-        yield ok(f"{', '.join(there) or 'a time service'} keeps the time of day")
+        yield ok(f"{', '.join(there) or 'a time service'} synchronises the clock")
 
 
 def tracking(said: str) -> Tracking | None:
@@ -221,9 +221,10 @@ def _quarrel(setting: list[str]) -> Iterator[Finding]:
         # The one named last is the more exact one.
         yield warning(
             f"{' and '.join(setting)} set the clock at the same time",
-            "Each undoes what the other does: the time of day jumps, and stamps of ROS with it.",
-            f"keep one of them, for instance: sudo systemctl disable --now {setting[0]}\n"
-            "for PTP and NTP together: timemaster, or chrony with the adapter as its refclock PHC",
+            "Each undoes what the other does: the clock jumps, and so do ROS timestamps.",
+            f"keep only one of them, for instance: sudo systemctl disable --now {setting[0]}\n"
+            "for PTP and NTP together: timemaster, or chrony with the adapter as its refclock "
+            "PHC",
         )
 
 
@@ -231,15 +232,15 @@ def _chrony(said: Tracking) -> Finding:
     if not said.source:
         return _not_synchronised("chronyd")
     what = (
-        f"chronyd follows {said.source}: the clock is {said.offset_s * 1e3:+.3f} ms off by its "
-        f"estimate, {said.bound_s * 1e3:.3f} ms at most"
+        f"chronyd follows {said.source}: the clock is off by an estimated "
+        f"{said.offset_s * 1e3:+.3f} ms, at most {said.bound_s * 1e3:.3f} ms"
     )
     if said.bound_s <= MAX_ERROR_S:
         return ok(what)
     return note(
         what,
-        "Stamps of ROS messages of two computers can differ by that much. " + _WHY_TIME,
-        "have the computers of the lab follow one server in the lab: server ADDRESS iburst in "
+        "Timestamps of ROS messages of two computers can differ by that much. " + _WHY_TIME,
+        "let the lab's computers follow one server in the lab: server ADDRESS iburst in "
         "/etc/chrony/chrony.conf, then: sudo systemctl restart chrony",
     )
 

@@ -146,7 +146,7 @@ def opening_on(system: str, firewalls: Sequence[str], ways: Sequence[Way], who: 
     if system == "win32":
         return (
             f"as administrator: {netsh(ways, who)}\n"
-            "a rule that blocks wins over these; it is named by: biosensor-gateway doctor --only "
+            "a blocking rule overrides these; find it with: biosensor-gateway doctor --only "
             "windows_firewall"
         )
     if system == "darwin":
@@ -154,7 +154,7 @@ def opening_on(system: str, firewalls: Sequence[str], ways: Sequence[Way], who: 
     if system == "linux":
         chosen = [name for name in _FRONT_ENDS if name in firewalls] or firewalls or BY_FIREWALL
         return "\n".join(f"with {name}: {BY_FIREWALL[name](ways)}" for name in chosen)
-    return f"have its firewall let in {listed(ways)}"
+    return f"allow {listed(ways)} in its firewall"
 
 
 def linux_firewall(context: Context) -> Iterator[Finding]:
@@ -166,7 +166,7 @@ def linux_firewall(context: Context) -> Iterator[Finding]:
     for name in active:
         yield note(
             f"the firewall {name} is on",
-            "Other computers see the streams of this one only if it lets them in: UDP "
+            "Other computers see this computer's streams only if it allows: UDP "
             f"{ports.discovery}, and UDP and TCP {ports.first} to {ports.last}.",
             BY_FIREWALL[name](every(ports)),
         )

@@ -1,4 +1,4 @@
-"""Checks the network adapters, the route of LSL's multicast, and the ports of LSL."""
+"""Checks the network adapters, the route of LSL's multicast, and LSL's ports."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Interface:
 PORTS_A_STREAM = 2
 """Ports per stream, for TCP and for UDP: one for IPv4, one for IPv6."""
 _KINDS = {"TCP": socket.SOCK_STREAM, "UDP": socket.SOCK_DGRAM}
-_UNKNOWN = "a program of somebody else"
+_UNKNOWN = "another user's program"
 
 
 def interfaces(context: Context) -> Iterator[Finding]:
@@ -69,8 +69,8 @@ def interfaces(context: Context) -> Iterator[Finding]:
     if len(real) > 1:
         yield note(
             f"{len(real)} networks: {', '.join(str(each) for each in real)}",
-            "Streams of each of them are found, but a computer that is in two of them at once may "
-            "be reached by the slower one, Wi-Fi for instance.",
+            "Streams on each of them are found, but a computer on two of them may be reached "
+            "through the slower one, such as Wi-Fi.",
             "disconnect the networks that the recording does not need",
         )
 
@@ -105,12 +105,12 @@ def route() -> str:
 
 def _only_loopback(context: Context) -> Finding:
     if _asks_itself(context):
-        return ok("no network is up; LSL programs of this computer ask it directly (KnownPeers)")
+        return ok("no network is up; LSL programs on this computer ask it directly (KnownPeers)")
     return warning(
         "no network is up, only the loopback",
-        "LabRecorder (liblsl 1.17) on this computer then sees one stream of many, whichever.",
-        f"{context.guide.ask_itself}\nand restart LabRecorder; or connect this computer to a "
-        "network, any will do",
+        "LabRecorder (liblsl 1.17) on this computer then sees only one, arbitrary stream.",
+        f"{context.guide.ask_itself}\nand restart LabRecorder; or connect this computer to any "
+        "network",
     )
 
 
@@ -132,8 +132,7 @@ def _adapter(interface: Interface, guide: Guide) -> Finding:
     if not interface.has_multicast:
         return warning(
             f"{interface} is up, but has no multicast",
-            "LSL programs on the other side of it do not find the streams of this computer, "
-            "nor this computer theirs.",
+            "LSL programs beyond it do not find this computer's streams, nor this computer theirs.",
             f"sudo ip link set {interface.name} multicast on\nor "
             + guide.ask_others.format(peer=interface.addresses[0]),
         )
@@ -145,7 +144,7 @@ def _virtual(found: list[Interface], guide: Guide) -> Iterator[Finding]:
         yield note(
             f"virtual adapters: {', '.join(str(each) for each in found)}",
             "Containers, virtual machines and VPNs have networks of their own. Windows may send "
-            "LSL's questions there and nowhere else.",
+            "LSL's queries only there.",
             "if streams of other computers are missing, switch these adapters off for the "
             "recording or, " + guide.ask_others.format(peer="ADDRESS"),
         )
@@ -154,20 +153,20 @@ def _virtual(found: list[Interface], guide: Guide) -> Iterator[Finding]:
 def _route(network: list[Interface], address: str, guide: Guide) -> Iterator[Finding]:
     """Check the preferred multicast route; LSL before 1.16 uses only that one."""
     way = next((each for each in network if address in each.addresses), None)
-    old = "LSL programs older than 1.16 ask there only; newer ones ask by every adapter."
+    old = "LSL programs older than 1.16 ask only there; newer ones ask through every adapter."
     if way is not None and not way.is_virtual:
-        yield ok(f"multicast goes by {way} first")
+        yield ok(f"multicast leaves through {way} first")
     elif way is not None:
         yield note(
-            f"multicast goes by the virtual adapter {way} first",
+            f"multicast leaves through the virtual adapter {way} first",
             f"No other computer of the lab is there. {old}",
-            f"switch {way.name} off, or give the adapter of the lab the lower metric; or "
+            f"switch {way.name} off, or give the lab's adapter the lower metric; or "
             + guide.ask_others.format(peer="ADDRESS"),
         )
     else:
         adapter = next((each for each in network if not each.is_virtual), network[0])
         yield note(
-            "the system prefers no way for multicast"
+            "the system has no preferred route for multicast"
             + (f" but {address}" if address else ": it has no default route"),
             f"That is usual where two computers share a cable. {old}",
             f"for older programs: {_add_route(adapter)}",
@@ -196,8 +195,8 @@ def _discovery(port: int) -> Finding:
         return ok(f"UDP {port} (discovery) is available")
     holder = _program(_owners("UDP", [port]).get(port))
     return error(
-        f"UDP {port} is held by {holder} for itself alone",
-        "LSL programs answer there; without it the streams of this computer are not found.",
+        f"UDP {port} is held exclusively by {holder}",
+        "LSL programs answer there; without it, this computer's streams are not found.",
         "end that program; if you do not know it: " + _who_command("UDP", port),
     )
 
@@ -211,11 +210,13 @@ def _range(kind: str, ports: Ports, needed: int, edit: str) -> Finding:
         what += f"; the others are held by {_named(Counter(held.values()))}"
     if free >= needed:
         return ok(what)
-    what += f"; the streams of the settings need {needed}"
-    why = "The others get ports that firewalls block and that nobody asks."
+    what += f"; the streams in the settings need {needed}"
+    why = "The others get ports that firewalls block and that other programs do not ask."
     if len(numbers) >= needed:
         who = _who_command(kind, min(held))
-        return error(what, why, f"end programs that you do not need; which one has a port: {who}")
+        return error(
+            what, why, f"end programs that you do not need; to see which one uses a port: {who}"
+        )
     more = max(DEFAULT_PORT_RANGE, 2 * needed)
     fix = f"set port_range = {more} below [lsl]: {edit}"
     return warning(what, why, fix)
@@ -303,7 +304,7 @@ def _named(holders: Counter[str]) -> str:
 def _who_command(kind: str, port: int) -> str:
     if sys.platform == "win32":
         return (
-            f'netstat -ano -p {kind} | findstr ":{port}"\nand, for ports that Windows keeps: '
+            f'netstat -ano -p {kind} | findstr ":{port}"\nand, for ports that Windows reserves: '
             f"netsh int ipv4 show excludedportrange protocol={kind.lower()}"
         )
     if sys.platform == "darwin":

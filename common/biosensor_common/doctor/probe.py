@@ -133,7 +133,7 @@ class Probe:
                     return json.loads(line)
         except (OSError, ValueError):
             pass
-        raise ProbeError(f"a second process gave no answer{self._last_words()}")
+        raise ProbeError(f"a second process did not answer{self._last_words()}")
 
     def _end(self) -> None:
         # Time to announce its end in the network, as ROS nodes do.

@@ -45,8 +45,8 @@ MAX_ROUND_TRIP_S = 0.1
 _SHOWN = 5
 # pylsl generates it from Python's hash, which differs at every start.
 _GENERATED_ID = re.compile(r"-?\d{15,20}")
-_SAME_SESSION = "LSL programs see only streams of their own session."
-_BY_AUTHOR = "ask the author of that program; in pylsl it is StreamInfo(..., source_id='...')"
+_SAME_SESSION = "LSL programs see only streams in their own session."
+_BY_AUTHOR = "ask the author of that program; in pylsl: StreamInfo(..., source_id='...')"
 
 
 def lsl_config(context: Context) -> Iterator[Finding]:
@@ -65,7 +65,7 @@ def lsl_config(context: Context) -> Iterator[Finding]:
     if own.known_peers and not own.has_braces_around_peers:
         yield warning(
             "KnownPeers has no braces around its computers",
-            f"Other LSL programs of this computer then ask none of them; {context.guide.program} "
+            f"Other LSL programs on this computer then ask none of them; {context.guide.program} "
             "does.",
             f"KnownPeers = {{{', '.join(own.known_peers)}}} below [lab] in {file}",
         )
@@ -78,21 +78,21 @@ def lsl_config(context: Context) -> Iterator[Finding]:
 def _places(used: Path | None) -> Iterator[Finding]:
     places = config_places(os.environ, Path.home(), Path.cwd())
     if used is None:
-        yield ok("there is no lsl_api.cfg; LSL programs take their defaults")
+        yield ok("there is no lsl_api.cfg; LSL programs use their defaults")
     else:
         yield ok(f"LSL programs started here read {used}")
     named = os.environ.get("LSLAPICFG")
     if named and not is_there(Path(named)):
         yield warning(
-            f"the environment variable LSLAPICFG names {named}, which is not there",
-            "LSL silently continues with the other places.",
+            f"the environment variable LSLAPICFG names {named}, which does not exist",
+            "LSL silently continues with the other locations.",
             "correct it where it is set, or remove it: the variable LSLAPICFG",
         )
     ignored = [place for place in places if is_there(place) and not _is_same(place, used)]
     if ignored:
         yield note(
             f"LSL does not read {', '.join(str(each) for each in ignored)}",
-            f"Only the first file is read, which is {used}.",
+            f"Only the first file, {used}, is read.",
             f"put the settings into {used} and remove the others",
         )
 
@@ -105,9 +105,9 @@ def _damaged(file: Path, problem: Exception) -> Finding:
     what = str(problem) if isinstance(problem, ConfigError) else f"{file}: {problem}"
     return error(
         what,
-        "LSL ignores the whole file for one line that it does not understand, and says nothing: "
+        "LSL silently ignores the whole file because of one line that it does not understand: "
         "session, peers and ports are then the defaults.",
-        f"open {file} in a text editor, correct that line (comments begin with ';', not with "
+        f"open {file} in a text editor, correct that line (comments start with ';', not with "
         "'#'), save it as UTF-8 and restart all LSL programs",
     )
 
@@ -119,15 +119,15 @@ def _session(context: Context, own: LslApiFile) -> Iterator[Finding]:
     except ConfigError as problem:
         yield error(
             str(problem),
-            "LSL programs that are started here find no stream, or also those of other sessions.",
+            "LSL programs started here find no streams, or also those of other sessions.",
             f"correct SessionID in {context.lsl_file} and restart all LSL programs",
         )
         return
     if chosen and chosen != own.session_id:
         yield warning(
-            f"{guide.program} is in the LSL session {chosen}, LSL programs of this computer in "
+            f"{guide.program} is in the LSL session {chosen}, LSL programs on this computer in "
             f"{own.session_id}",
-            f"{_SAME_SESSION} Those here and {guide.program} know nothing of each other.",
+            f"{_SAME_SESSION} Those here and {guide.program} do not see each other.",
             f"{guide.correct_file}\nor remove session_id from the settings of {guide.program}: "
             f"{guide.edit}",
         )
@@ -160,8 +160,8 @@ def _peers(context: Context) -> Iterator[Finding]:
         except (OSError, UnicodeError):
             yield warning(
                 f"the known peer {peer} has no address",
-                "Its streams are found by multicast only, if at all.",
-                f"use its IP address in place of {peer}, or make sure of: ping {peer}",
+                "Its streams are found only by multicast, if at all.",
+                f"use its IP address instead of {peer}, or check that this works: ping {peer}",
             )
 
 
@@ -173,9 +173,9 @@ def _range(context: Context, own: LslApiFile) -> Iterator[Finding]:
     wanted = context.overrides.port_range or DEFAULT_PORT_RANGE
     if own.known_peers and count < wanted:
         yield note(
-            f"PortRange is {count} for LSL programs of this computer, {wanted} for "
+            f"PortRange is {count} for LSL programs on this computer, {wanted} for "
             f"{context.guide.program}",
-            f"LabRecorder asks known peers on {count} ports only, which is {count // 2} streams.",
+            f"LabRecorder asks known peers on only {count} ports, which is {count // 2} streams.",
             context.guide.correct_file,
         )
 
@@ -194,8 +194,8 @@ def discovery(context: Context) -> Iterator[Finding]:
         yield _unicast(unicast.result(), config)
         if multicast is None:
             yield note(
-                "multicast was not tried: ResolveScope is machine in your lsl_api.cfg",
-                "LSL looks for streams on this computer only, and is found by it only.",
+                "multicast was not tested: ResolveScope is machine in your lsl_api.cfg",
+                "LSL looks for streams only on this computer, and is found only here.",
                 "if other computers take part, remove ResolveScope from the file that the check "
                 "lsl_config names",
             )
@@ -250,9 +250,9 @@ def _unicast(found: bool, config: str) -> Finding:
     if found:
         return ok("a stream of this computer is found here by unicast (KnownPeers)")
     return error(
-        "a stream of this computer is not even found here when it is asked for directly",
-        "Programs of this computer, LabRecorder too, see no streams: a firewall or another "
-        "security program is between them.",
+        "a stream of this computer is not found here even when asked for directly",
+        "Programs on this computer, including LabRecorder, see no streams: a firewall or another "
+        "security program blocks them.",
         opening(api_file.ports(config)),
     )
 
@@ -263,9 +263,9 @@ def _multicast(found: bool, config: str, guide: Guide) -> Finding:
     return warning(
         "a stream of this computer is not found here by multicast",
         "LSL programs find streams by multicast unless they are told which computers to ask; "
-        "LabRecorder then misses streams of this computer or all those of others.",
+        "LabRecorder then misses this computer's streams or all those of others.",
         f"{guide.ask_itself}\nfor other computers, {guide.ask_others.format(peer='ADDRESS')}\n"
-        "or let multicast through: the check interfaces says whether there is a way for it; if a "
+        "or allow multicast: the check interfaces shows whether it has a route; if a "
         f"firewall is in the way:\n{opening(api_file.ports(config))}",
     )
 
@@ -274,7 +274,7 @@ def streams(context: Context) -> Iterator[Finding]:
     """Search for streams as the program does, and check them."""
     seen, elsewhere = survey(context)
     if not seen:
-        yield ok("no LSL stream is there at the moment")
+        yield ok("there is no LSL stream at the moment")
     yield from judge(seen)
     yield from judge_elsewhere(elsewhere)
     yield from _unseen(context, seen)
@@ -310,7 +310,7 @@ def _unseen(context: Context, seen: Sequence[SurveyedStream]) -> Iterator[Findin
             f"{guide.program} offers {len(offered)} streams, and {len(missing)} of them are not "
             f"found here: {listed(missing)}",
             "LabRecorder and the node do not find them either.",
-            "fix what the checks lsl_config, discovery and ports find",
+            "fix what the checks lsl_config, discovery and ports report",
         )
 
 
@@ -335,11 +335,11 @@ def _hosts(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
         best = min(measured, key=lambda each: each.round_trip_s or 0.0, default=None)
         if best is None or best.offset_s is None or best.round_trip_s is None:
             yield warning(
-                f"{what}, which gives no time",
-                "Without its clock's offset its stamps cannot be aligned with others. A firewall "
-                "may let TCP through but not UDP.",
+                f"{what}, which does not give its time",
+                "Without its clock offset, its timestamps cannot be aligned with others. A "
+                "firewall may allow TCP but not UDP.",
                 f"on {host}: biosensor-gateway doctor; its firewall must allow incoming UDP and "
-                f"TCP from {LSL_BASE_PORT} on",
+                f"TCP from {LSL_BASE_PORT}",
             )
             continue
         what += (
@@ -350,9 +350,9 @@ def _hosts(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
             continue
         yield warning(
             what,
-            "Half of the round trip is how wrong the offset may be. Such values are those of busy "
-            "or power-saving Wi-Fi.",
-            f"connect {host} by cable, or see the part Tuning of "
+            "The offset may be wrong by half of the round trip. Such values come from busy or "
+            "power-saving Wi-Fi.",
+            f"connect {host} by cable, or see Tuning in "
             "https://labstreaminglayer.readthedocs.io/info/lslapicfg.html",
         )
 
@@ -360,10 +360,11 @@ def _hosts(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
 def _names(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for name, same in _repeated(streams, lambda each: each.name):
         yield warning(
-            f"{len(same)} streams are called {name} (on {listed(sorted({e.host for e in same}))})",
-            "LabRecorder lists streams by name and computer; those with the same cannot be chosen "
-            "apart.",
-            "give each a name of its own; for devices of Biosensor Gateway, on its computer, set "
+            f"{len(same)} streams have the name {name} (on "
+            f"{listed(sorted({e.host for e in same}))})",
+            "LabRecorder lists streams by name and computer; those with the same name cannot be "
+            "told apart.",
+            "give each its own name; for devices of Biosensor Gateway, on its computer, set "
             "label or participant: biosensor-gateway config edit",
         )
 
@@ -373,7 +374,7 @@ def _source_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
         where = listed(sorted(f"{each.name} on {each.host}" for each in same))
         yield error(
             f"{len(same)} streams have the source_id {source_id}: {where}",
-            "LabRecorder takes them for one, and receivers cannot go on after a restart.",
+            "LabRecorder treats them as one, and receivers cannot continue after a restart.",
             "end all but one of the programs that send them; for two devices of Biosensor Gateway, "
             "on its computer, correct unit, label or participant: biosensor-gateway config edit",
         )
@@ -384,9 +385,9 @@ def judge_elsewhere(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for source_id, same in _grouped(streams, lambda each: each.source_id).items():
         where = listed(sorted(f"{e.name} on {e.host} in session {e.session!r}" for e in same))
         yield error(
-            f"another LSL session has the source_id {source_id}, too: {where}",
-            "LabRecorder and other programs that lose this stream go on with that one, whatever "
-            "its session: another person's data would follow in the same recording.",
+            f"another LSL session also has the source_id {source_id}: {where}",
+            "LabRecorder and other programs that lose this stream continue with that one, "
+            "whatever its session: another person's data would follow in the same recording.",
             "end the program there, or correct unit, label or participant of its device",
         )
 
@@ -397,7 +398,7 @@ def _empty_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
         yield warning(
             f"without a source_id: {listed(found)}",
             "When that program restarts, its stream is missing from the rest of the recording.",
-            f"have the program set a source_id that stays the same; {_BY_AUTHOR}",
+            f"let the program set a source_id that stays the same; {_BY_AUTHOR}",
         )
 
 
@@ -405,10 +406,10 @@ def _generated_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     found = [each.name for each in streams if _GENERATED_ID.fullmatch(each.source_id)]
     if found:
         yield warning(
-            f"with a source_id that pylsl made up: {listed(found)}",
-            "It is another one at every start of that program: a recording does not go on after a "
+            f"with a source_id invented by pylsl: {listed(found)}",
+            "It changes at every start of that program: a recording does not continue after a "
             "restart.",
-            f"have the program set a source_id that stays the same; {_BY_AUTHOR}",
+            f"let the program set a source_id that stays the same; {_BY_AUTHOR}",
         )
 
 
@@ -416,9 +417,9 @@ def _int64(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     found = [each.name for each in streams if each.format == "int64"]
     if found:
         yield error(
-            f"of the format int64: {listed(found)}",
-            "LabRecorder writes no sample of such streams, and does not say so.",
-            "have the program send int32 or double64",
+            f"in the format int64: {listed(found)}",
+            "LabRecorder writes no samples of such streams, and does not report it.",
+            "let the program send int32 or double64",
         )
 
 
@@ -426,10 +427,10 @@ def _clocks(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for each in streams:
         if each.stamp_error_s is not None and abs(each.stamp_error_s) > MAX_STAMP_ERROR_S:
             yield error(
-                f"{each.name} on {each.host}: its stamps are {each.stamp_error_s:+.0f} s off",
-                "They are not on the LSL clock, so that the stream cannot be aligned with others.",
-                "have the program stamp with LSL's local_clock(), or without a stamp; Unix time "
-                "and a device's own time are wrong",
+                f"{each.name} on {each.host}: its timestamps are {each.stamp_error_s:+.0f} s off",
+                "They are not on the LSL clock, so the stream cannot be aligned with others.",
+                "let the program use timestamps from LSL's local_clock(), or none; Unix time and "
+                "a device's own time are wrong",
             )
 
 
@@ -438,10 +439,10 @@ def _far_ports(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     far = [each for each in streams if any(port >= end for port in each.ports)]
     for host, there in _grouped(far, lambda each: each.host).items():
         yield note(
-            f"{_amount(there)} on {host}, on ports from {end} on: "
+            f"{_amount(there)} on {host}, on ports from {end}: "
             f"{listed(each.name for each in there)}",
-            f"LSL programs without a configuration ask known peers on {LSL_PORT_RANGE} ports "
-            "only, which is 16 streams. By multicast they find all.",
+            f"LSL programs without a configuration ask known peers on only {LSL_PORT_RANGE} "
+            "ports, which is 16 streams. By multicast, they find all.",
             "on LabRecorder's computer: biosensor-gateway config lsl (with --for two-pc --peer "
             f"{host} if that is another computer)",
         )

@@ -95,7 +95,7 @@ _NETWORKS = r"SOFTWARE\Microsoft\Windows NT\CurrentVersion\NetworkList\Profiles"
 # The kinds of networks to which the installer's rule applies.
 _PROFILES = ["Private", "Domain"]
 _WHY = (
-    "Other computers see the streams of this one only if it lets them in; LabRecorder on this "
+    "Other computers see this computer's streams only if it allows them in; LabRecorder on this "
     "computer does not need that."
 )
 
@@ -262,8 +262,8 @@ def judge_rules(
     on = {profile: treatment for profile, treatment in treated.items() if treatment.is_on}
     if not on:
         yield ok(
-            f"the firewall of Windows is off in {_kinds(treated)} networks, so it holds nothing "
-            "back; that of another program may"
+            f"Windows' firewall is off in {_kinds(treated)} networks, so it blocks nothing; "
+            "another program's firewall may"
         )
         return
     shut = [profile for profile, treatment in on.items() if not treatment.lets_in]
@@ -286,11 +286,11 @@ def judge_rules(
     if closed and deaf:
         yield _unheeded(deaf, closed, program)
     elif closed:
-        what = f"no rule of the firewall lets {' and '.join(closed)} in to this program"
+        what = f"no firewall rule allows {' and '.join(closed)} to this program"
         yield note(what + _nearly(named, program, on), _WHY, opening)
     elif not blocking and not shut:
         names = ", ".join(dict.fromkeys(repr(rule.name) for rule in allowing))
-        yield ok(f"the firewall lets this program in: {names}")
+        yield ok(f"the firewall allows this program: {names}")
 
 
 def _is_in_force(rule: Rule, treated: Mapping[str, Treatment]) -> bool:
@@ -302,19 +302,20 @@ def _is_in_force(rule: Rule, treated: Mapping[str, Treatment]) -> bool:
 
 def _shut(profiles: Iterable[str]) -> Finding:
     return warning(
-        f"the firewall lets nobody in, in {_kinds(profiles)} networks, whatever its rules say",
+        f"the firewall blocks all incoming connections in {_kinds(profiles)} networks, whatever "
+        "its rules say",
         _WHY,
         "Windows Security > Firewall & network protection > the network > untick 'Blocks all "
-        "incoming connections'; where it is grey, ask who manages this PC",
+        "incoming connections'; if it is greyed out, ask the administrator of this PC",
     )
 
 
 def _unheeded(profiles: Iterable[str], closed: Sequence[str], program: str) -> Finding:
     return warning(
-        f"in {_kinds(profiles)} networks the firewall heeds only rules of who manages this PC, "
-        f"and none of those lets {' and '.join(closed)} in to this program",
+        f"in {_kinds(profiles)} networks, the firewall uses only the rules of this PC's "
+        f"administrator, and none of them allows {' and '.join(closed)} to this program",
         _WHY,
-        f"ask them for a rule for {program}, or for local rules to be merged",
+        f"ask the administrator for a rule for {program}, or for local rules to be merged",
     )
 
 
@@ -336,8 +337,8 @@ def _blocked(rule: Rule) -> Finding:
     protocols = " and ".join(each.name for each in sorted(rule.protocols))
     return warning(
         f"the firewall's rule {rule.name!r} blocks {protocols} to this program",
-        "A rule that blocks wins over all that allow, so other computers do not see the streams. "
-        "Windows makes such rules when its question is answered with Cancel.",
+        "A blocking rule overrides all that allow, so other computers do not see the streams. "
+        "Windows creates such rules when its question is answered with Cancel.",
         f"as administrator: wf.msc > Inbound Rules > {rule.name} > Disable Rule",
     )
 
@@ -354,7 +355,7 @@ def _nearly(rules: Iterable[Rule], program: str, profiles: Iterable[str]) -> str
     elif not rule.is_for(program):
         why = f"is for {rule.program}"
     elif not any(map(rule.holds_in, profiles)):
-        why = f"holds in {_kinds(rule.profiles)} networks only"
+        why = f"applies only in {_kinds(rule.profiles)} networks"
     else:
         why = "is for other ports or protocols"
     return f"; the rule {rule.name!r} {why}"
@@ -363,10 +364,10 @@ def _nearly(rules: Iterable[Rule], program: str, profiles: Iterable[str]) -> str
 def judge_network(name: str, network: Network) -> Finding:
     """Check Windows' category of the network."""
     if network is not Network.PUBLIC:
-        return ok(f"Windows takes the network {name} for {network.name.lower()}")
+        return ok(f"Windows treats the network {name} as {network.name.lower()}")
     return warning(
-        f"Windows takes the network {name}, the latest one, for public",
-        "There it lets nobody in, and the rule of the installer has no effect.",
+        f"Windows treats the network {name}, the latest one, as public",
+        "There it blocks all incoming connections, and the installer's rule has no effect.",
         "Settings > Network & internet > the network's properties > Private network",
     )
 

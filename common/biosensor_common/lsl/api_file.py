@@ -190,8 +190,8 @@ def _require_usable(parser: configparser.ConfigParser, path: Path) -> None:
             wanted = _wanted_instead(section, key, text)
             if wanted:
                 message = (
-                    f"{path}: {key} = {text} in [{section}] should be {wanted}; LSL would take "
-                    "other settings than you have made; correct the line or remove it"
+                    f"{path}: {key} = {text} in [{section}] should be {wanted}; LSL would use "
+                    "other settings than yours; correct the line or remove it"
                 )
                 raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
@@ -374,7 +374,7 @@ def _parsed(text: str, source: str) -> Iterator[Line]:
         else:
             key, equals, value = (part.strip() for part in line.partition("="))
             if not (key and equals and value):
-                what = "it is no 'key = value', and no comment, which begins with ';'"
+                what = "it is neither 'key = value' nor a comment, which starts with ';'"
                 raise _malformed(source, number, what)
             if (section, key) in seen:
                 raise _malformed(source, number, f"{key} is set a second time")
@@ -384,8 +384,8 @@ def _parsed(text: str, source: str) -> Iterator[Line]:
 
 def _malformed(source: str, number: int, what: str) -> ConfigError:
     message = (
-        f"{source}, line {number}: {what}; LSL ignores the whole file for it; "
-        "correct the line or remove the file"
+        f"{source}, line {number}: {what}; LSL ignores the whole file because of it; correct the "
+        "line or remove the file"
     )
     return ConfigError(ConfigReason.MALFORMED, message)
 

@@ -75,7 +75,7 @@ def of_user(text: str) -> Predicate:
         ``INVALID``, if its brackets or quotes are not balanced.
     """
     if not _is_closed(text):
-        message = f"the LSL query {text!r} has a bracket or a quote without its partner; add it"
+        message = f"the LSL query {text!r} has an unmatched bracket or quote; add the missing one"
         raise SpecError(SpecReason.INVALID, message)
     return Predicate(f"({text})")
 

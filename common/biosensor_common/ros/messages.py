@@ -276,7 +276,7 @@ def _numbers(entry: Any) -> dict[str, float]:  # noqa: ANN401 - whatever JSON ho
 def _finite(number: Any) -> float:  # noqa: ANN401 - whatever JSON holds
     value = float(number)
     if not math.isfinite(value):
-        raise ValueError(f"{number} is no counter")
+        raise ValueError(f"{number} is not a counter")
     return value
 
 

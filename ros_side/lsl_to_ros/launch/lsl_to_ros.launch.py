@@ -23,7 +23,7 @@ ARGUMENTS = {
     "processes": "not taken any more: the node runs in one process, and says so",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
-    "aliases": "names of sensors for streams of other programs, as in [UN-2019*=unicorn]",
+    "aliases": "names of sensors for streams of other programs, such as [UN-2019*=unicorn]",
     "compat": "smartlab: types and values for clients of ros2-foxy-wearable-biosensors",
     "params_file": "parameter file; the share folder's config/params.yaml is an example",
 }

@@ -16,7 +16,7 @@ ARGUMENTS = {
     "namespace": "namespace of the node, and of topics without a leading slash",
     "node_name": "name of the node; several nodes in one namespace need one each",
     "topics": "topics to send, as a YAML list",
-    "all_small": "true: send every topic but images and other bytes without a limit",
+    "all_small": "true: send every topic except images and other bytes without a size limit",
     "stamps": "measured, or arrival",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",

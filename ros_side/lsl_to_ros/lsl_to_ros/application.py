@@ -126,7 +126,9 @@ class LslToRos(Node):
     def _report(self) -> None:
         jump_ns = self._ros_time.refresh()
         if jump_ns is not None:
-            self._log.warn(f"the system clock jumped by {jump_ns / 1e9:.6f} s; stamps follow")
+            self._log.warn(
+                f"the system clock jumped by {jump_ns / 1e9:.6f} s; timestamps follow it"
+            )
         self._reporting.report(self._survey.part())
 
     def _list_streams(self) -> None:

@@ -69,7 +69,7 @@ def outside(arguments: Sequence[str]) -> Iterator[str]:
 def unknown(argument: str) -> str:
     """Return the error message for an unknown argument, with a suggestion."""
     if argument in _OF_ROS or ":=" in argument:
-        return f"{argument} must stand behind --ros-args, as in --ros-args -p name:=value"
+        return f"{argument} must come after --ros-args, as in --ros-args -p name:=value"
     return f"there is no argument {argument}; --help lists the parameters"
 
 

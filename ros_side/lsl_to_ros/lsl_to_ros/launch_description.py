@@ -17,7 +17,7 @@ LOG_LEVEL, RESPAWN, USE_SIM_TIME = "log_level", "respawn", "use_sim_time"
 _COMMON_ARGUMENTS = {
     LOG_LEVEL: "debug, info, warn, error or fatal",
     RESPAWN: "true: start the node again when it ends",
-    USE_SIM_TIME: "true: go by the time of /clock, which is not when anything was measured",
+    USE_SIM_TIME: "true: use the time of /clock, which is not the time of measurement",
 }
 _SWITCH = {"true": True, "false": False, "": False}
 
@@ -53,7 +53,7 @@ def _existing(params_file: str) -> str:
     """Return the path of an existing file; ROS would only warn about a missing one."""
     path = Path(params_file).expanduser()
     if params_file and not path.is_file():
-        message = f"params_file: there is no file {params_file}; give the path of one that is there"
+        message = f"params_file: there is no file {params_file}; give the path of an existing one"
         raise FileNotFoundError(message)
     return str(path) if params_file else ""
 

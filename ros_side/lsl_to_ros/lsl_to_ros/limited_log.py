@@ -46,4 +46,4 @@ class LimitedLog:
                 return ""
             self._said[sentence] = now
             more, self._held_back = self._held_back, 0
-        return sentence + (f" ({more} lines were held back)" if more else "")
+        return sentence + (f" ({more} lines were suppressed)" if more else "")

@@ -309,7 +309,7 @@ def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str]
     lines += [f"{topic}: {word}" for topic in outstanding]
     if waiting.is_busy and outstanding and not waiting.is_cut_short:
         late = "1 topic has" if len(outstanding) == 1 else f"{len(outstanding)} topics have"
-        lines.append(f"this computer is too busy: {late} not come yet")
+        lines.append(f"this computer is too busy: {late} not arrived yet")
     # Without a time limit no topic counts as missing.
     if waiting.asked_s is None or not outstanding:
         return lines, 0

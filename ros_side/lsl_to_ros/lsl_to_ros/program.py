@@ -84,7 +84,9 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
         refuse(str(error))
     except ValueError:
         # rclpy's, and it does not tell which one.
-        refuse("a parameter has no value, or is an empty list, which ROS cannot take; leave it out")
+        refuse(
+            "a parameter has no value, or is an empty list, which ROS does not accept; leave it out"
+        )
     if elsewhere:
         node.get_logger().warning(elsewhere)
     executor = SingleThreadedExecutor()

@@ -199,9 +199,7 @@ class Routing:
         )
         for topic in changed:
             # nothing is dropped: the topic goes on with the other type
-            self._warn(
-                f"{topic}: the stream came back in another format; the topic changes its type"
-            )
+            self._warn(f"{topic}: the stream came back in another format; the topic's type changes")
         self._publishers.close(lambda publisher: publisher.topic.rpartition("/")[0] in bases)
         self._publishers.close_oldest(used, ABSENT_TOPICS)
 

@@ -38,9 +38,9 @@ from biosensor_common.lsl import api_file
 from biosensor_common.terminal import columns, wrapped
 
 CHECK = Check(
-    "network", Category.NETWORK, "the way to another computer, tried from both sides", __name__
+    "network", Category.NETWORK, "the network to another computer, tested from both sides", __name__
 )
-_LOST = "What the other computer would have said is unknown."
+_LOST = "The other computer's part of the result is unknown."
 _LABEL, _COLUMN = 36, 21
 
 
@@ -88,13 +88,15 @@ def _judge_failure(problem: GatewayError | ProbeError, attempt: _Attempt) -> Fin
     if isinstance(problem, ProbeError):
         return error(
             f"LSL cannot be used on this computer: {problem}",
-            "Without it nothing can be tried.",
+            "Without it, nothing can be tested.",
             f"{doctor_command(attempt.program)} --only versions",
         )
     if isinstance(problem, UnreachedError):
         return _unreached(problem, attempt)
     if isinstance(problem, CredentialError):
-        return error(str(problem), "Only who knows the code is answered.", attempt.again)
+        return error(
+            str(problem), "Only a computer that knows the code gets an answer.", attempt.again
+        )
     return error(
         str(problem),
         _LOST,
@@ -107,13 +109,13 @@ def _unreached(problem: UnreachedError, attempt: _Attempt) -> Finding:
     if problem.reason is TransportReason.UNAVAILABLE:
         return error(
             str(problem),
-            "Names of computers are not known in every network, addresses are.",
+            "Computer names do not work in every network; addresses do.",
             f"use the address that the other computer shows; there, {_answer(port)}",
         )
     if problem.reason is TransportReason.ABSENT:
         return error(
             str(problem),
-            "It answers only while a person there has asked for it. Some firewalls refuse, too.",
+            "It answers only when a person there has started it. Some firewalls also refuse.",
             f"on {host}, {_answer(port)}\nthen here: {attempt.again}\n"
             f"if it does answer there, {_opening(attempt)}",
         )
@@ -128,9 +130,9 @@ def _silent(problem: UnreachedError, attempt: _Attempt) -> Finding:
     if found is None:
         return error(
             str(problem),
-            f"The firewall of {host} drops what comes in, or {host} is off or has another "
+            f"The firewall of {host} drops incoming packets, or {host} is off or has another "
             "address. None of its streams answers either.",
-            f"{fix}\nmake sure of the address: {_answer(attempt.port)} shows it there",
+            f"{fix}\ncheck the address: {_answer(attempt.port)} shows it there",
         )
     seen, received = found
     amount = "1 stream" if seen == 1 else f"{seen} streams"
@@ -161,9 +163,8 @@ def _opening(attempt: _Attempt) -> str:
     """Return how the other computer's port is opened on any system."""
     ways = (_port_way(attempt.context, attempt.port),)
     return (
-        f"on {attempt.host}, the command that stands below the code there; with ufw, for "
-        f"instance: {firewall.ufw(ways)}\n"
-        f"or with Windows, as administrator: {firewall.netsh(ways)}"
+        f"on {attempt.host}, the command shown below the code there; with ufw, for instance: "
+        f"{firewall.ufw(ways)}\nor with Windows, as administrator: {firewall.netsh(ways)}"
     )
 
 
@@ -204,7 +205,7 @@ def check_with(context: Context, program: str, host: str, port: int, code: str) 
 def ask(context: Context, program: str, host: str, port: int, code: str, *, as_json: bool) -> int:
     """Check the network to a computer, print the result and return the exit code."""
     if not as_json:
-        _say(f"Trying the network to {printable(host)} from both sides, about 15 s ...\n")
+        _say(f"Testing the network to {printable(host)} from both sides, about 15 s ...\n")
     return _print(check_with(context, program, host, port, code), as_json=as_json)
 
 
@@ -219,7 +220,7 @@ def answer(context: Context, program: str, port: int, *, as_json: bool) -> int:
             _say("\n".join(wrapped(each, columns(output), hang=4) for each in lines), output)
             outcome = answer_one(answerer, lambda sentence: _say(printable(sentence), output))
     except KeyboardInterrupt:
-        _say("Nobody has asked; this computer does not answer any more.", output)
+        _say("No computer has asked; this computer no longer answers.", output)
         return 1
     except GatewayError as problem:
         why = "Nothing was tried."
@@ -277,14 +278,14 @@ def _invitation(context: Context, answerer: Answerer) -> list[str]:
     typed = f"--with {way.address}{_port_option(answerer.port)} --code {answerer.code}"
     more = [f"Its other addresses: {', '.join(way.others)}."] if way.others else []
     return [
-        f"For {PATIENCE_S / 60:g} minutes this computer answers (Ctrl-C ends it).",
+        f"This computer answers for {PATIENCE_S / 60:g} minutes (Ctrl-C ends it).",
         "On the other one, type:",
         f"  {doctor_command(AGENT)} {typed}",
         "or, where the node is:",
         f"  {doctor_command(NODE)} {typed}",
         "",
         *more,
-        "If it is said there that nothing comes back, open the port here:",
+        "If the other computer reports that nothing comes back, open the port here:",
         *(f"  {line}" for line in way.opening.splitlines()),
         "",
     ]

@@ -121,14 +121,14 @@ class Channel:
         if self._key is not None:
             given, line = line[:_SEAL].decode("ascii", "replace"), line[_SEAL:]
             if not _is_sealed(self._key, _numbered(self._other, self._received, line), given):
-                raise self._garbage("a line that it did not seal itself")
+                raise self._garbage("a line without its valid seal")
             self._received += 1
         try:
             message: object = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise self._garbage("a line that is no JSON") from error
+            raise self._garbage("a line that is not JSON") from error
         if not isinstance(message, dict):
-            raise self._garbage("a line that is no JSON object")
+            raise self._garbage("a line that is not a JSON object")
         return cast("Message", message)
 
     def _line(self, limit_s: float) -> bytes:
@@ -154,7 +154,7 @@ class Channel:
         return line
 
     def _silent(self, limit_s: float) -> TransportError:
-        what = f"{self.name} said nothing for {limit_s:g} s; start both sides again"
+        what = f"{self.name} sent nothing for {limit_s:g} s; start both sides again"
         return TransportError(TransportReason.SILENT, what)
 
     def _lost(self) -> TransportError:
@@ -162,7 +162,7 @@ class Channel:
         return TransportError(TransportReason.LOST, what)
 
     def _garbage(self, what: str) -> ProtocolError:
-        message = f"{self.name} sent {what}; another program seems to be at that port"
+        message = f"{self.name} sent {what}; another program seems to use that port"
         return ProtocolError(ProtocolReason.GARBAGE, message)
 
 
@@ -183,7 +183,7 @@ def greet_as_asking(channel: Channel, code: str) -> None:
     channel.send({"proof": _seal(key, _ASKING)})
     reply = channel.receive(GREETING_S)
     if "refused" in reply or not _proves(reply, key, _ANSWERING):
-        raise _rejected(f"{channel.name} shows another code; type the one that is there now")
+        raise _rejected(f"{channel.name} shows another code; type the one shown there now")
     channel.secure(key, _ASKING, _ANSWERING)
 
 
@@ -199,7 +199,7 @@ def greet_as_answering(channel: Channel, code: str) -> None:
     key = _key(code, _nonce_of(greeting, channel.name), own)
     if not _proves(channel.receive(GREETING_S), key, _ASKING):
         channel.send({"refused": "code"})
-        raise _rejected(f"{channel.name} does not know the code, and was refused")
+        raise _rejected(f"{channel.name} does not know the code and was refused")
     channel.send({"proof": _seal(key, _ANSWERING)})
     channel.secure(key, _ANSWERING, _ASKING)
 
@@ -211,12 +211,12 @@ def _greeting(own: str) -> Message:
 def _nonce_of(greeting: Message, name: str) -> str:
     version, found = greeting.get("version"), str(greeting.get("nonce"))
     if greeting.get("speak") != LANGUAGE:
-        what = f"{name} is another program; name the right port with --port"
+        what = f"{name} is another program; give the right port with --port"
         raise ProtocolError(ProtocolReason.GARBAGE, what)
     if version != VERSION:
         raise ProtocolError(
             ProtocolReason.UNSUPPORTED,
-            f"{name} speaks version {version!r:.20} of the network check, this computer version "
+            f"{name} uses version {version!r:.20} of the network check, this computer version "
             f"{VERSION}; install the same Biosensor Gateway on both",
         )
     if not NONCE.fullmatch(found):

@@ -69,8 +69,8 @@ def _judge_setting(one: Party, other: Party) -> Iterator[Finding]:
         yield error(
             f"the LSL session is {one.computer.session} on {one.name} and "
             f"{other.computer.session} on {other.name}",
-            "LSL programs see only streams of their own session.",
-            "have the same on both: SessionID below [lab] in lsl_api.cfg, or session_id of the "
+            "LSL programs see only streams in their own session.",
+            "use the same on both: SessionID below [lab] in lsl_api.cfg, or session_id of the "
             "agent's settings and of the node's parameters",
         )
     yield from _ports(one, other)
@@ -87,16 +87,16 @@ def _ports(one: Party, other: Party) -> Iterator[Finding]:
         if left != right:
             yield error(
                 f"LSL's port of {what} is {left} on {one.name} and {right} on {other.name}",
-                "LSL programs ask at another port, where nobody answers.",
-                f"have the same {key} below [ports] in lsl_api.cfg on both, or none",
+                "LSL programs ask on another port, where nothing answers.",
+                f"use the same {key} below [ports] in lsl_api.cfg on both, or none",
             )
 
 
 def _scope(party: Party) -> Iterator[Finding]:
     if not party.computer.keeps_to_itself:
         return
-    what = f"LSL on {party.name} keeps to its own computer (ResolveScope is machine)"
-    why = "It looks for streams there only, and is found there only; multicast was not tried."
+    what = f"LSL on {party.name} is restricted to its own computer (ResolveScope is machine)"
+    why = "It looks for streams only there, and is found only there; multicast was not tested."
     fix = f"{party.on}: remove ResolveScope below [multicast] from lsl_api.cfg"
     # For two programs on one computer this is enough.
     is_alone = ip_address(party.computer.address).is_loopback
@@ -107,13 +107,13 @@ def _translation(one: Party, other: Party) -> Iterator[Finding]:
     for party, peer in ((one, other), (other, one)):
         if party.computer.other != peer.computer.address:
             yield warning(
-                f"{party.name} reaches {peer.name} on {party.computer.other}, but that is "
-                f"{peer.computer.address} by itself",
+                f"{party.name} reaches {peer.name} on {party.computer.other}, but its own "
+                f"address is {peer.computer.address}",
                 "Something between the two translates addresses (a router, a virtual machine, a "
                 "container, WSL). LSL needs connections in both directions, and these seldom "
                 "pass.",
-                f"put both into one network: for a virtual machine or WSL, a bridged or mirrored "
-                f"network; else a VPN between {one.name} and {other.name}",
+                "put both into one network: for a virtual machine or WSL, a bridged or mirrored "
+                f"network; otherwise a VPN between {one.name} and {other.name}",
             )
             return
 
@@ -135,7 +135,7 @@ def _entrance(inner: Party, outer: Party) -> Iterator[Finding]:
     blocked = _blocked_ways(inner)
     came = inner.end.arrivals
     if blocked:
-        what = f"{inner.name} does not let in {firewall.listed(blocked)} from {outer.name}"
+        what = f"{inner.name} blocks {firewall.listed(blocked)} from {outer.name}"
         why = f"{_part(inner)}{_consequence(inner, outer, blocked)}"
         fix = _to_open(inner, blocked)
         yield (error if _hurts(inner, outer, blocked) else warning)(what, why, fix)
@@ -143,9 +143,9 @@ def _entrance(inner: Party, outer: Party) -> Iterator[Finding]:
         yield _no_multicast(inner, outer)
     if came.discovery is None:
         yield warning(
-            f"UDP {inner.computer.ports.discovery} is held for itself alone by a program of "
+            f"UDP {inner.computer.ports.discovery} is held exclusively by a program on "
             f"{inner.name}",
-            "LSL programs answer there; whether a firewall lets it in could not be tried.",
+            "LSL programs answer there; it could not be tested whether a firewall allows it.",
             f"{inner.on}: {inner.doctor} --only ports",
         )
 
@@ -154,7 +154,8 @@ def _no_multicast(inner: Party, outer: Party) -> Finding:
     what = f"multicast from {outer.name} does not reach {inner.name}, though its ports are open"
     why = (
         "The network between the two drops it, as Wi-Fi and VPNs do, or it leaves by another "
-        f"adapter. So LSL on {outer.name} does not find the streams of {inner.name} by itself"
+        f"adapter. So LSL on {outer.name} does not find the streams of {inner.name} "
+        "automatically"
     )
     look, fix = outer.end.look, _to_ask_directly(outer)
     if look.by_multicast:
@@ -162,7 +163,7 @@ def _no_multicast(inner: Party, outer: Party) -> Finding:
     if outer.computer.asks_the_other:
         return note(what, f"{why}, but it asks for them directly (KnownPeers).", fix)
     if look.directly:
-        return error(what, f"{why}. Asked for directly (KnownPeers), they are found.", fix)
+        return error(what, f"{why}. When asked for directly (KnownPeers), they are found.", fix)
     return error(what, f"{why}, and not when it asks for them directly either.", fix)
 
 
@@ -186,7 +187,7 @@ def _consequence(inner: Party, outer: Party, blocked: list[Way]) -> str:
     if (UDP, False) in kinds:
         parts.append(
             f"{outer.name} cannot ask {inner.name} directly nor for its clock, and {inner.name} "
-            "may not hear the answers to its own questions"
+            "may not receive the answers to its own queries"
         )
     return f"So {'; '.join(parts)}."
 
@@ -221,10 +222,10 @@ def _test_stream(sender: Party, receiver: Party, *, is_explained: bool) -> Itera
             return
     if is_explained:
         return
-    what = f"found {' and '.join(ways)}" if ways else "not found in any way"
+    what = f"found {' and '.join(ways)}" if ways else "not found at all"
     lacking = "" if look.received else ", but no sample came" if ways else ""
     yield error(
-        f"{title}: a test stream is {what}{lacking}, though every test port is open",
+        f"{title}: a test stream is {what}{lacking}, although every test port is open",
         "Something between the two lets small packets through but not LSL: a security program, "
         "a VPN with a small MTU, or much traffic.",
         f"{receiver.on}: {receiver.doctor}\n{sender.on}: {sender.doctor}",
@@ -237,9 +238,9 @@ def _clock(sender: Party, receiver: Party) -> Iterator[Finding]:
         yield warning(
             f"{sender.name} -> {receiver.name}: the clock's offset is known to "
             f"{round_trip_s * 500:.0f} ms only",
-            "Half of the round trip is how wrong the offset may be. Such values are those of busy "
-            "or power-saving Wi-Fi.",
-            "connect both by cable, or see the part Tuning of "
+            "The offset may be wrong by half of the round trip. Such values come from busy or "
+            "power-saving Wi-Fi.",
+            "connect both by cable, or see Tuning in "
             "https://labstreaminglayer.readthedocs.io/info/lslapicfg.html",
         )
 
@@ -250,8 +251,8 @@ def _address(sender: Party, receiver: Party) -> Iterator[Finding]:
     if found != asked and "." in found and not ip_address(asked).is_loopback:
         yield note(
             f"{receiver.name} finds the streams of {sender.name} on {found}, not on {asked}",
-            "The two are in more than one network, and LSL takes the address from which the "
-            "answer came: of Wi-Fi and cable, perhaps the slower one.",
+            "The two share more than one network, and LSL uses the address from which the answer "
+            "came: with Wi-Fi and cable, perhaps the slower one.",
             "disconnect the network that the recording does not need",
         )
 
@@ -259,15 +260,15 @@ def _address(sender: Party, receiver: Party) -> Iterator[Finding]:
 def _real_streams(sender: Party, receiver: Party) -> Iterator[Finding]:
     own = sender.end.own
     if not own:
-        yield ok(f"{sender.name} sends no streams at the moment; a test stream stood in for them")
+        yield ok(f"{sender.name} sends no streams at the moment; a test stream was used instead")
         return
     uids = {each.uid for each in receiver.end.seen}
     unseen = [each.name for each in own if each.uid not in uids]
     shut = [e.name for e in own if e.uid in uids and e.uid not in receiver.end.reached]
     amount = "1 stream" if len(own) == 1 else f"{len(own)} streams"
     again = (
-        "fix what stands above, then ask again\nif nothing does, "
-        f"{sender.on}: {sender.doctor} --only streams"
+        f"fix the problems above, then test again\nif there are none, {sender.on}: "
+        f"{sender.doctor} --only streams"
     )
     if unseen:
         yield error(
@@ -336,7 +337,7 @@ def rows(here: End, there: End) -> Iterator[tuple[str, str, str]]:
         ("  found when asked for directly", lambda _, to: _word(to.look.directly)),
         ("  received", lambda _, to: _word(to.look.received)),
         ("  round trip", lambda _, to: _milliseconds(to.look.round_trip_s)),
-        ("streams that are seen", _seen),
+        ("streams seen", _seen),
         ("  whose port opens", _reached),
     )
     for title, cell in cells:

@@ -55,7 +55,9 @@ def _address(name: str, found: str) -> str:
 
 def _source_id(_name: str, found: str) -> str:
     if not _SOURCE_ID.fullmatch(found):
-        raise ProtocolError(ProtocolReason.GARBAGE, "the test stream's name is none of ours")
+        raise ProtocolError(
+            ProtocolReason.GARBAGE, "the test stream's name is not one of this program's"
+        )
     return found
 
 
@@ -230,7 +232,9 @@ def read_run(message: Message) -> str:
     """Return the number of the test; raises as `read` does."""
     found = str(message.get("run"))
     if not NONCE.fullmatch(found):
-        raise ProtocolError(ProtocolReason.GARBAGE, "the number of the test is none of ours")
+        raise ProtocolError(
+            ProtocolReason.GARBAGE, "the test's number is not one of this program's"
+        )
     return found
 
 
@@ -275,7 +279,7 @@ def _by_port(name: str, found: object) -> ByPort:
 
 
 _PLAIN: dict[Any, tuple[tuple[type, ...], Callable[[Any], bool], str]] = {
-    str: ((str,), lambda text: len(text) <= MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
+    str: ((str,), lambda text: len(text) <= MAX_TEXT, f"text of at most {MAX_TEXT} characters"),
     bool: ((bool,), lambda _: True, "true or false"),
     # Compared before it is converted: an integer of JSON may be too large for a float.
     float: ((int, float), lambda number: abs(number) < MAX_NUMBER, "a finite number"),

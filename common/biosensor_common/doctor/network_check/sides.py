@@ -120,7 +120,7 @@ def _connected(host: str, port: int) -> socket.socket:
     except (socket.gaierror, UnicodeError) as error:
         raise UnreachedError(TransportReason.UNAVAILABLE, f"{host} has no IPv4 address") from error
     except ConnectionRefusedError as error:
-        what = f"{host} is there, but refuses TCP {port}"
+        what = f"{host} is reachable, but refuses TCP {port}"
         raise UnreachedError(TransportReason.ABSENT, what) from error
     except TimeoutError as error:
         what = f"nothing comes back from TCP {port} of {host}"
@@ -177,8 +177,8 @@ class Answerer:
             self._listener.close()
             raise TransportError(
                 TransportReason.BUSY,
-                f"TCP {self.port} is not available here ({error.strerror or error}); name "
-                "another one on both computers: --port 16800",
+                f"TCP {self.port} is not available here ({error.strerror or error}); use another "
+                "one on both computers: --port 16800",
             ) from error
         self.port = self._listener.getsockname()[1]
         return self
@@ -232,8 +232,8 @@ class Answerer:
             raise TransportError(TransportReason.SILENT, what)
         raise TransportError(
             TransportReason.SILENT,
-            f"nobody asked within {self._patience_s / 60:g} minutes, so this computer does not "
-            "answer any more",
+            f"no computer asked within {self._patience_s / 60:g} minutes, so this computer no "
+            "longer answers",
         )
 
     def _converse(self, channel: Channel) -> tuple[End, End]:
@@ -272,7 +272,7 @@ def _expected(channel: Channel, command: str) -> Message:
     if message.get("do") != command:
         raise ProtocolError(
             ProtocolReason.GARBAGE,
-            f"{channel.name} said {str(message.get('do'))!r:.40} in place of {command!r}",
+            f"{channel.name} sent {str(message.get('do'))!r:.40} instead of {command!r}",
         )
     return message
 

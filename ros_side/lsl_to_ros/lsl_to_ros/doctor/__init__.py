@@ -38,8 +38,8 @@ GUIDE = Guide(
         "/opt/ros/$ROS_DISTRO/setup.bash",
     },
     ask_itself=(
-        "put into ~/lsl_api/lsl_api.cfg, each in a line of its own: [lab], "
-        "KnownPeers = {127.0.0.1}, [ports], PortRange = 256"
+        "put into ~/lsl_api/lsl_api.cfg, each on its own line: [lab], KnownPeers = {127.0.0.1}, "
+        "[ports], PortRange = 256"
     ),
     ask_others=(
         'ros2 launch lsl_to_ros lsl_to_ros.launch.py known_peers:="[ADDRESS]", with the address '

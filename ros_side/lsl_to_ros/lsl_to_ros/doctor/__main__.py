@@ -28,15 +28,15 @@ def main() -> int:
     parser.add_argument(
         "--answer", action="store_true", help="answer another computer's --with, once"
     )
-    parser.add_argument("--with", dest="host", help="try the network to a computer with --answer")
-    parser.add_argument("--code", help="for --with: what the other computer shows")
-    parser.add_argument("--port", type=_port, default=ANSWER_PORT, help="of --answer and --with")
+    parser.add_argument("--with", dest="host", help="test the network to a computer with --answer")
+    parser.add_argument("--code", help="for --with: the code that the other computer shows")
+    parser.add_argument("--port", type=_port, default=ANSWER_PORT, help="for --answer and --with")
     given = parser.parse_args()
     if given.answer:
         return network_check.answer(Context(guide=GUIDE), NODE, given.port, as_json=given.json)
     if given.host:
         if not given.code:
-            parser.error(f"--with needs --code, and the code that {given.host} shows")
+            parser.error(f"--with needs --code and the code shown on {given.host}")
         return network_check.ask(
             Context(guide=GUIDE), NODE, given.host, given.port, given.code, as_json=given.json
         )

@@ -45,7 +45,7 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 # Intermediate/About-Domain-ID.html
 _SAFE_ON_LINUX = (range(102), range(215, MAX_DOMAIN + 1))
 _FAST_DDS = "rmw_fastrtps"
-_SHELL = "in this shell and where it is set, ~/.bashrc for instance"
+_SHELL = "in this shell and where it is set, for instance ~/.bashrc"
 PREFIX = "_biosensor_doctor_"
 """Prefix of the nodes' names; ROS tools do not list names with a leading underscore."""
 _POLL_S = 0.05
@@ -91,21 +91,21 @@ def judge_nodes(nodes: Sequence[str]) -> Finding:
     repeated = {name: count for name, count in ours.items() if count > 1}
     number = domain(os.environ)
     if repeated:
-        named = ", ".join(f"{count} nodes are called {name}" for name, count in repeated.items())
+        named = ", ".join(f"{count} nodes have the name {name}" for name, count in repeated.items())
         return error(
             f"{named} (domain {number})",
             "Each publishes every stream: subscribers get every sample more than once, and "
-            "parameters are set in one of them only.",
-            "end all but one, on whichever computer it runs; nodes for different streams need a "
-            f"namespace each: {_LAUNCH} namespace:=NAME",
+            "parameters are set in only one of them.",
+            "end all but one, on whichever computer it runs; nodes for different streams each "
+            f"need a namespace: {_LAUNCH} namespace:=NAME",
         )
     if not ours:
         return note(
-            f"no node called {_NODE} is there (domain {number}, {len(nodes)} other nodes)",
+            f"there is no node {_NODE} (domain {number}, {len(nodes)} other nodes)",
             "Streams reach ROS only while it runs.",
-            f"{_LAUNCH}\nif it runs: give both shells the same {DOMAIN}",
+            f"{_LAUNCH}\nif it is running: give both shells the same {DOMAIN}",
         )
-    return ok(f"{', '.join(sorted(ours))} is there (domain {number}, {len(nodes)} nodes in all)")
+    return ok(f"{', '.join(sorted(ours))} is there (domain {number}, {len(nodes)} nodes in total)")
 
 
 def _found(found: bool, seconds: float | None, middleware: str) -> Finding:
@@ -116,8 +116,8 @@ def _found(found: bool, seconds: float | None, middleware: str) -> Finding:
     return error(
         f"a node of this computer is not found here within {SEARCH_S:g} s by {middleware}",
         "The topics of the node reach no other program: rviz, rosbag and your nodes see nothing.",
-        "fix what this check says of the variables of ROS; if nothing, let it through the "
-        f"firewall: sudo ufw allow {first}:{last}/udp, or sudo firewall-cmd --permanent "
+        "fix what this check reports about ROS variables; if nothing, allow it in the firewall: "
+        f"sudo ufw allow {first}:{last}/udp, or sudo firewall-cmd --permanent "
         f"--add-port={first}-{last}/udp && sudo firewall-cmd --reload",
     )
 
@@ -127,8 +127,8 @@ def _no_node(problem: ProbeError) -> Finding:
         f"a ROS node cannot be started here ({problem})",
         "Neither can the node lsl_to_ros.",
         "source /opt/ros/$ROS_DISTRO/setup.bash and the workspace's install/setup.bash; unset "
-        f"{MIDDLEWARE} if its package is not installed; fix what this check says "
-        "of the variables of ROS",
+        f"{MIDDLEWARE} if its package is not installed; fix what this check reports about ROS "
+        "variables",
     )
 
 
@@ -155,18 +155,18 @@ def domain(environment: Mapping[str, str]) -> int:
 
 def _domain(text: str) -> Finding:
     if not text:
-        return ok(f"{DOMAIN} is not set: ROS is in domain 0, as all computers that have none")
-    why = "Nodes see only those of their own domain."
+        return ok(f"{DOMAIN} is not set: ROS is in domain 0, like all computers without it")
+    why = "Nodes see only nodes in their own domain."
     if not text.isdecimal() or int(text) > MAX_DOMAIN:
         return error(
             f"{DOMAIN} is {text!r}, which is not a number from 0 to {MAX_DOMAIN}",
-            f"{why} With such a value most nodes do not even start.",
-            f"export {DOMAIN}=0, or the number that the other computers have, {_SHELL}",
+            f"{why} With such a value, most nodes do not even start.",
+            f"export {DOMAIN}=0, or the number that the other computers use, {_SHELL}",
         )
     if not any(int(text) in each for each in _SAFE_ON_LINUX):
         return warning(
             f"{DOMAIN} is {text}",
-            "Its ports are among those that Linux gives to any program, so that nodes sometimes "
+            "Its ports are among those that Linux gives to any program, so nodes sometimes "
             "cannot be reached.",
             f"export {DOMAIN}=N, with N from 0 to 101, on all computers",
         )
@@ -179,12 +179,12 @@ def _localhost_only(text: str) -> Finding:
             f"{LOCALHOST_ONLY} is 1",
             f"No other computer sees the topics, and {RANGE} and {PEERS} are ignored. The "
             "variable is deprecated.",
-            f"unset {LOCALHOST_ONLY}, {_SHELL}; if other computers are not to see the topics: "
-            f"export {RANGE}=LOCALHOST",
+            f"unset {LOCALHOST_ONLY}, {_SHELL}; to hide the topics from other computers: export "
+            f"{RANGE}=LOCALHOST",
         )
     return note(
         f"{LOCALHOST_ONLY} is set, to {text!r}",
-        f"The variable is deprecated; {RANGE} has taken its place.",
+        f"The variable is deprecated; {RANGE} replaces it.",
         f"unset {LOCALHOST_ONLY}, {_SHELL}",
     )
 
@@ -193,21 +193,22 @@ def _range(text: str, peers: list[str]) -> Finding:
     wide = f"export {RANGE}=SUBNET, {_SHELL}"
     if text and text not in _RANGES:
         return warning(
-            f"{RANGE} is {text!r}, which is none of {', '.join(_RANGES)}",
-            "ROS takes LOCALHOST then: no other computer sees the topics.",
+            f"{RANGE} is {text!r}, which is not one of {', '.join(_RANGES)}",
+            "ROS then uses LOCALHOST: no other computer sees the topics.",
             wide,
         )
     if text == "OFF":
         return error(
             f"{RANGE} is OFF",
-            "No node finds any other, not even on this computer: the topics do not reach anybody.",
+            "No node finds any other, not even on this computer: the topics reach nobody.",
             wide,
         )
     if text == "LOCALHOST" and not peers:
         return note(
             f"{RANGE} is LOCALHOST",
             "No other computer sees the topics.",
-            f"if others take part: {wide}, or export {PEERS}='ADDRESS;ADDRESS' with theirs",
+            f"if other computers take part: {wide}, or export {PEERS}='ADDRESS;ADDRESS' with "
+            "theirs",
         )
     return ok(f"{RANGE} is {text or 'not set: nodes find each other in the whole subnet'}")
 
@@ -217,10 +218,10 @@ def _peers(peers: list[str]) -> Finding:
         try:
             socket.getaddrinfo(peer, None)
         except (OSError, UnicodeError):
-            comma = " Peers are parted by ';'." if "," in peer else ""
+            comma = " Separate peers with ';'." if "," in peer else ""
             return error(
                 f"{PEERS} names {peer!r}, which has no address",
-                f"With it nodes do not even start.{comma}",
+                f"With it, nodes do not even start.{comma}",
                 f"export {PEERS}='ADDRESS;ADDRESS' with IP addresses, {_SHELL}",
             )
     return ok(f"{PEERS}: {', '.join(peers)}")
@@ -231,15 +232,15 @@ def _server(text: str, middleware: str) -> Finding:
     if middleware and not middleware.startswith(_FAST_DDS):
         return warning(
             f"{SERVER} is set, but {MIDDLEWARE} is {middleware}",
-            "Only Fast DDS has discovery servers: nodes look for each other in another way than "
-            "you think.",
+            "Only Fast DDS has discovery servers: nodes find each other in a different way than "
+            "you expect.",
             f"{unset}; or export {MIDDLEWARE}=rmw_fastrtps_cpp",
         )
     return note(
         f"{SERVER} is {text}",
         "Nodes find each other only while that server runs, and only those that use it.",
-        f"if there is none: {unset}; else on all computers export {SERVER}={text!r}, and for "
-        "ros2 topic, node and doctor besides: export ROS_SUPER_CLIENT=TRUE",
+        f"if there is none: {unset}; otherwise on all computers export {SERVER}={text!r}, and "
+        "for ros2 topic, node and doctor also: export ROS_SUPER_CLIENT=TRUE",
     )
 
 

@@ -151,7 +151,8 @@ class Duplicates:
         self._duplicates[inlet.uid] = _Duplicate(inlet)
         # nothing is dropped: a second connection is tried
         self._warn(
-            f"{inlet.core}: seen again after a cut, but not heard; a second connection is tried"
+            f"{inlet.core}: seen again after an interruption, but nothing received; trying a "
+            "second connection"
         )
 
     def _settle(self, old: Inlet) -> Swap | None:

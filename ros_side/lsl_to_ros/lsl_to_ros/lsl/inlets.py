@@ -446,7 +446,7 @@ class Senders:
         for host in sorted(fallen):
             self._warn(f"{host}: {_sentence(now - silent[host])}")
         for host in sorted(returned & heard.keys()):
-            self._inform(f"{host}: it is heard again, after {now - self._silent[host]:.1f} s")
+            self._inform(f"{host}: data arrives again, after {now - self._silent[host]:.1f} s")
         self._silent = silent
         return bool(fallen or returned)
 
@@ -475,4 +475,4 @@ def _is_foreign(inlet: Inlet) -> bool:
 
 
 def _sentence(seconds: float) -> str:
-    return f"nothing has come for {seconds:.1f} s; is its network cut?"
+    return f"nothing received for {seconds:.1f} s; is its network interrupted?"

@@ -97,8 +97,8 @@ def _pacing_fault(value: float) -> str | None:
     if 0.0 <= value <= MAX_PACING_PER_MS:
         return None
     return (
-        f"must be from 0 to {MAX_PACING_PER_MS:.0f} messages a millisecond, 0 for no pacing;"
-        f" it is {value!r}"
+        f"must be from 0 to {MAX_PACING_PER_MS:.0f} messages per millisecond, 0 for no pacing; "
+        f"it is {value!r}"
     )
 
 
@@ -124,8 +124,8 @@ def _aliases_fault(value: Sequence[str]) -> str | None:
     for name, alias in aliases_of(value).items():
         if not name or not _ALIAS.fullmatch(alias):
             return (
-                "must be such as [UN-2019*=unicorn], the name of an LSL stream and one of"
-                f" letters, digits and single underscores; it has {f'{name}={alias}'!r}"
+                "must look like [UN-2019*=unicorn]: the name of an LSL stream and a name of "
+                f"letters, digits and single underscores; it has {f'{name}={alias}'!r}"
             )
     return None
 
@@ -143,14 +143,14 @@ _PARAMETERS = {
     ),
     BURST_PACING: _Parameter(
         PACING_PER_MS,
-        "messages of one topic in a millisecond, of what came at once: more overrun the queues of"
-        " subscribers, usually 5 or 10 long; 0: all at once",
+        "messages of one topic per millisecond, from a burst: more overrun subscribers' queues, "
+        "usually 5 or 10 long; 0: all at once",
         _pacing_fault,
         most=MAX_PACING_PER_MS,
     ),
     ALIASES: _Parameter(
         [""],
-        "names of sensors for streams of other programs, as in [UN-2019*=unicorn]",
+        "names of sensors for streams of other programs, such as [UN-2019*=unicorn]",
         _aliases_fault,
         read_only=True,
     ),
@@ -190,8 +190,8 @@ def unknown(name: str, known: Iterable[str]) -> str:
     if similar:
         return f"{name} is not a parameter of this node; {similar[0]} is"
     return (
-        f"{name} is not a parameter of this node; --help lists those that are, and what a file has "
-        "for another node belongs below that node's name, not below /**"
+        f"{name} is not a parameter of this node; --help lists those that are, and parameters of "
+        "another node in a file belong below that node's name, not below /**"
     )
 
 
@@ -251,7 +251,7 @@ def _qos_fault(name: str, value: object) -> str | None:
         is_number = isinstance(value, int) and not isinstance(value, bool)
         if is_number and value in range(1, MAX_DEPTH + 1):
             return None
-        return f"{name} must be a whole number from 1 to {MAX_DEPTH}, not {value!r}"
+        return f"{name} must be an integer from 1 to {MAX_DEPTH}, not {value!r}"
     values = _QOS_VALUES.get(policy)
     if values is None:
         return f"{name}: only depth, {', '.join(_QOS_VALUES)} can be overridden"

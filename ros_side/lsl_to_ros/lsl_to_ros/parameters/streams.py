@@ -33,8 +33,8 @@ LENGTH_RANGE = range(1, 100_001)
 DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUNK_LENGTH: 128}
 
 REMOVED = {
-    "processes": "the node runs in one process; share the streams among several nodes"
-    " (stream_predicate), or read fast topics as _chunk or _stamped"
+    "processes": "the node runs in one process; divide the streams among several nodes "
+    "(stream_predicate), or read fast topics as _chunk or _stamped"
 }
 """Removed parameters, and their replacements."""
 # ``ros2 param dump`` writes these values for keys that are not set, and parameter files and
@@ -42,8 +42,8 @@ REMOVED = {
 _UNSET = ("null", "None")
 
 TEXTS = {
-    SENSOR_ENABLE: "publish anything at all: raw, chunk and hardware topics",
-    CHUNK_ENABLE: "publish chunk topics; they need Sensor_Enable too",
+    SENSOR_ENABLE: "publish any topics: raw, chunk and hardware",
+    CHUNK_ENABLE: "publish chunk topics; also needs Sensor_Enable",
     CHUNK_LENGTH: "samples in one chunk",
 }
 
@@ -136,7 +136,7 @@ class Parameters:
         known = ", ".join(sorted(self._sensors))
         seen = f"seen so far: {known}" if known else "none has arrived so far"
         return [
-            f"{each.name} holds for no stream yet ({seen})"
+            f"{each.name} applies to no stream yet ({seen})"
             for each in parameters
             if each.value is not None
             and each.name.rpartition(".")[2] in DEFAULTS
@@ -243,7 +243,7 @@ def _fault(name: str, value: object) -> str | None:
         return None
     if key == CHUNK_LENGTH:
         if isinstance(value, bool) or not isinstance(value, int) or value not in LENGTH_RANGE:
-            return f"{name} must be a whole number from 1 to {LENGTH_RANGE[-1]}, not {value!r}"
+            return f"{name} must be an integer from 1 to {LENGTH_RANGE[-1]}, not {value!r}"
     elif not isinstance(value, bool):
         return f"{name} must be true or false, not {value!r}"
     return None
@@ -261,7 +261,7 @@ def _descriptor(key: str, *, dynamic: bool = False) -> ParameterDescriptor:
     is_length = key == CHUNK_LENGTH
     limits = IntegerRange(from_value=LENGTH_RANGE[0], to_value=LENGTH_RANGE[-1], step=1)
     return ParameterDescriptor(
-        description=TEXTS[key] + ("; not set: the less specific key holds" if dynamic else ""),
+        description=TEXTS[key] + ("; not set: the less specific key applies" if dynamic else ""),
         type=ParameterType.PARAMETER_INTEGER if is_length else ParameterType.PARAMETER_BOOL,
         dynamic_typing=dynamic,
         integer_range=[limits] if is_length and not dynamic else [],
@@ -275,7 +275,7 @@ Publish streams of the Lab Streaming Layer as topics of ROS 2.
   ros2 run lsl_to_ros lsl_to_ros --ros-args -p Chunk_Length:=36
   ros2 run lsl_to_ros lsl_to_ros --ros-args --params-file lsl_to_ros.yaml
 """
-_OF_STREAMS = "For all, or behind a sensor and data name, as in SENSOR.DATA.Chunk_Length:"
+_OF_STREAMS = "For all, or after a sensor and data name, as in SENSOR.DATA.Chunk_Length:"
 
 
 def usage() -> str:

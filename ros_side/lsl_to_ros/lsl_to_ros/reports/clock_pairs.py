@@ -102,7 +102,7 @@ def _outlet(node: Node, warn: Callable[[str], None]) -> LslOutlet | None:
     try:
         return events_outlet(node, "lsl_to_ros")
     except (RuntimeError, TransportError) as error:
-        warn(f"recordings will not tell the time of this computer: LSL offers no stream ({error})")
+        warn(f"recordings will not contain this computer's time: LSL offers no stream ({error})")
         return None
 
 

@@ -31,8 +31,8 @@ from lsl_to_ros.topics.bridge import Bridge
 
 _MOST_NAMED = 5
 _RELIEF = (
-    "read fast topics as _chunk or _stamped, switch streams off (Sensor_Enable), or share the"
-    " streams among nodes on several computers (stream_predicate)"
+    "read fast topics as _chunk or _stamped, switch streams off (Sensor_Enable), or divide the "
+    "streams among nodes on several computers (stream_predicate)"
 )
 
 
@@ -40,13 +40,13 @@ def overload(load: LoadFacts) -> str:
     """Return a sentence about the node's overload; empty if it keeps up."""
     share = "" if load.share is None else f"{100 * load.share:.0f} % of a core"
     if load.is_busy:
-        waited = f", and data have waited {load.age_s:.1f} s in it" if load.age_s >= 0.1 else ""
+        waited = f", and data has waited {load.age_s:.1f} s in it" if load.age_s >= 0.1 else ""
         return f"the node needs {share}{waited}: {_RELIEF}"
     if load.is_late:
         gets = f", which gets {share}" if share else ""
         return (
-            f"data have waited {load.age_s:.1f} s in the node{gets}: other programs keep this"
-            f" computer busy; end some, or {_RELIEF}"
+            f"data has waited {load.age_s:.1f} s in the node{gets}: other programs keep this "
+            f"computer busy; end some, or {_RELIEF}"
         )
     return ""
 
@@ -72,18 +72,20 @@ def too_fast(rate: float, topics: Sequence[str], best_effort: Sequence[str]) -> 
         Nodes that read with best effort, to which DDS does not resend.
     """
     instead = f"; read {' or '.join(topics)} instead" if topics else ""
-    unsafe = f"; {', '.join(best_effort)}: best effort, nothing is sent twice" * bool(best_effort)
+    unsafe = f"; {', '.join(best_effort)}: best effort, nothing is retransmitted" * bool(
+        best_effort
+    )
     return (
-        f"{rate:.0f} messages a second, more than a subscriber in Python takes, and no counter"
-        f" of the node shows what its queue throws away{instead}{unsafe}"
+        f"{rate:.0f} messages per second, more than a Python subscriber can handle, and no "
+        f"counter of the node shows what its queue drops{instead}{unsafe}"
     )
 
 
 def not_taken(messages: int) -> str:
     """Return a sentence about a subscriber that does not keep up."""
     return (
-        f"a subscriber hangs or is too slow: {messages} messages of a backlog in the last"
-        " 10 s went out before it had taken those before, and it may lose some"
+        f"a subscriber hangs or is too slow: {messages} messages of a backlog in the last 10 s "
+        "were sent before it had taken the earlier ones, and it may lose some"
     )
 
 
@@ -298,7 +300,7 @@ def away_sentence(state: str) -> str:
         return ""
     if state == PAUSED:
         return "its sensor is paused, and none of its data is sent"
-    return f"its sensor is not connected ({state}), and what came last is of the past"
+    return f"its sensor is not connected ({state}), and the last data is old"
 
 
 def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:

@@ -166,7 +166,7 @@ class Survey:
             told = [why for each in known if (why := publisher.misfit(each))]
             is_other_type = any(each.topic_type != publisher.type_name for each in known)
             if is_other_type and is_known_otherwise:
-                told.append(f"with {COMPAT}:={SMARTLAB} it is as the original framework has it")
+                told.append(f"with {COMPAT}:={SMARTLAB}, it is as in the original framework")
             why = "; ".join(dict.fromkeys(told))
             bridge.counters.refusals.hold(Refusal.READ_IN_VAIN, bool(why), about=name, why=why)
 
@@ -279,7 +279,7 @@ def _judge_device(bridges: Iterable[Bridge]) -> tuple[bytes, str]:
             # NaN, unknown, is neither.
             if role is ChannelRole.CONTACT and value == 0:
                 return DiagnosticStatus.WARN, "not worn"
-    return DiagnosticStatus.OK, "as its streams tell"
+    return DiagnosticStatus.OK, "as its streams report"
 
 
 TOPIC = "~/streams"

@@ -164,7 +164,7 @@ class RosToLsl(Node):
             # nothing is dropped: it is not subscribed yet
             return
         if graph.is_ours(publishers):
-            topic.refuse("lsl_to_ros publishes it, and it is an LSL stream already")
+            topic.refuse("lsl_to_ros publishes it, so it is already an LSL stream")
             return
         was_known = topic.kind is not None
         lost = topic.follow(publishers)
@@ -203,7 +203,7 @@ class RosToLsl(Node):
                 similar = get_close_matches(name, published, n=1)
                 question = f"; is {similar[0]} meant?" if similar else ""
                 # nothing is dropped: there is nothing yet
-                self._log.inform(f"{name}: nobody publishes it yet{question}")
+                self._log.inform(f"{name}: nothing publishes it yet{question}")
 
     def _say(self, topic: str, sentence: str) -> None:
         # nothing is dropped: this is where refusals are said
@@ -223,7 +223,9 @@ class RosToLsl(Node):
         if jump_ns is not None:
             self._offsets.restart()
             # nothing is dropped: clocks are judged again
-            self._log.warn(f"the system clock jumped by {jump_ns / 1e9:.6f} s; stamps follow")
+            self._log.warn(
+                f"the system clock jumped by {jump_ns / 1e9:.6f} s; timestamps follow it"
+            )
             for each in self._topics.values():
                 each.bridge.clock_was_set()
         streams = sum(len(each.bridge.streams) for each in self._topics.values())

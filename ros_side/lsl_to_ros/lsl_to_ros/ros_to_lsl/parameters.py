@@ -118,20 +118,21 @@ class Option(NamedTuple):
 
 NODE_OPTIONS: Mapping[str, Option] = {
     TOPICS: Option([""], "topics to send, as a list: [/joint_states, /odom]"),
-    ALL_SMALL: Option(False, "send every topic but images and other bytes without a limit"),
+    ALL_SMALL: Option(False, "send every topic except images and other bytes without a size limit"),
     STAMPS: Option(
-        MEASURED, "measured: header, else source stamp, else arrival; arrival: always arrival"
+        MEASURED,
+        "measured: header, otherwise source timestamp, otherwise arrival; arrival: always arrival",
     ),
     DIAGNOSTICS_PERIOD: Option(PERIOD_S, PERIOD_TEXT),
     SESSION_ID: Option("", "LSL session; empty: LSL's own setting"),
     KNOWN_PEERS: Option([""], "hosts that multicast does not reach"),
 }
 TOPIC_OPTIONS: Mapping[str, Option] = {
-    AS: Option("", "samples, markers or json (whole messages); else the type decides"),
-    FIELDS: Option([""], "fields to send, or groups of them: [pose.pose.position]; else all"),
-    NAME: Option("", "of the LSL stream; else the topic's, robot-odom for /robot/odom"),
+    AS: Option("", "samples, markers or json (whole messages); otherwise the type decides"),
+    FIELDS: Option([""], "fields to send, or groups of them: [pose.pose.position]; otherwise all"),
+    NAME: Option("", "of the LSL stream; otherwise the topic's, robot-odom for /robot/odom"),
     RATE: Option(0.0, "nominal rate in Hz of the LSL stream; 0: irregular"),
-    TYPE: Option("", "message type, to be subscribed before anybody publishes"),
+    TYPE: Option("", "message type, to subscribe before anything is published"),
 }
 _SIMULATED = Option(False, "of ROS itself")
 _TYPES: dict[type[Any], int] = {
@@ -204,7 +205,7 @@ def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requ
     _check_stamps(values[STAMPS], use_sim_time=_value(given, USE_SIM_TIME, _SIMULATED))
     if not requests and not values[ALL_SMALL]:
         message = (
-            'there is nothing to send: name topics, as in -p topics:="[/joint_states]", or'
+            'there is nothing to send: name topics, such as -p topics:="[/joint_states]", or'
             " set all_small:=true"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message)
@@ -217,7 +218,7 @@ def _topics(value: Sequence[str]) -> list[str]:
         if topics.count(topic) > 1:
             raise _wrong(f"{TOPICS} has {topic} twice")
         if "." in topic:
-            raise _wrong(f"{TOPICS}: {topic!r} is not a name of a topic")
+            raise _wrong(f"{TOPICS}: {topic!r} is not a topic name")
     return topics
 
 
@@ -228,7 +229,9 @@ def _check_known(name: str, topics: Sequence[str]) -> None:
     if topic in topics and option in TOPIC_OPTIONS:
         return
     if topic and topic not in topics:
-        message = f"{name}: {topic} is not among the topics; add it to {TOPICS}, spelt alike"
+        message = (
+            f"{name}: {topic} is not among the topics; add it to {TOPICS} with the same spelling"
+        )
     elif topic:
         message = f"{name}: a topic has no {option!r}; it has {', '.join(TOPIC_OPTIONS)}"
     else:
@@ -268,18 +271,18 @@ def _request(topic: str, given: Mapping[str, Any], resolve: Callable[[str], str]
     try:
         full = resolve(topic)
     except (RuntimeError, TypeError, ValueError) as error:
-        raise _wrong(f"{TOPICS}: {topic!r} is not a name of a topic") from error
+        raise _wrong(f"{TOPICS}: {topic!r} is not a topic name") from error
     name = value[NAME] or stream_name(full)
     if not _STREAM_NAME.fullmatch(name):
         raise _wrong(
-            f"{topic}.{NAME} must be of letters, digits, _ and -, at most 100, not {name!r}"
+            f"{topic}.{NAME} must consist of at most 100 letters, digits, _ and -, not {name!r}"
         )
     if value[AS] not in list(SendAs):
         raise _wrong(f"{topic}.{AS} must be samples, markers or json, not {value[AS]!r}")
     if not 0 <= value[RATE] <= MAX_RATE_HZ:
         raise _wrong(f"{topic}.{RATE} must be from 0 to {MAX_RATE_HZ} Hz, not {value[RATE]!r}")
     if value[TYPE] and not _TYPE_NAME.fullmatch(value[TYPE]):
-        raise _wrong(f"{topic}.{TYPE} must be such as std_msgs/msg/String, not {value[TYPE]!r}")
+        raise _wrong(f"{topic}.{TYPE} must look like std_msgs/msg/String, not {value[TYPE]!r}")
     fields = tuple(each for each in value[FIELDS] if each)
     return TopicRequest(full, name, SendAs(value[AS]), fields, value[RATE], value[TYPE])
 
@@ -290,7 +293,8 @@ def _check_names(requests: Sequence[TopicRequest]) -> None:
         other = names.setdefault(each.name, each.topic)
         if other != each.topic:
             raise _wrong(
-                f"{other} and {each.topic} would both be the stream {each.name}; give one a name"
+                f"{other} and {each.topic} would both be the stream {each.name}; give one of "
+                "them a name"
             )
 
 
@@ -299,8 +303,8 @@ def _check_stamps(stamps: str, *, use_sim_time: bool) -> None:
         raise _wrong(f"{STAMPS} must be {MEASURED} or {ARRIVAL}, not {stamps!r}")
     if use_sim_time and stamps != ARRIVAL:
         raise _wrong(
-            f"{USE_SIM_TIME}: simulated time cannot be put on the LSL clock; leave it out, or stamp"
-            f" by arrival with {STAMPS}:={ARRIVAL}"
+            f"{USE_SIM_TIME}: simulated time cannot be converted to the LSL clock; leave it out, "
+            f"or use arrival times with {STAMPS}:={ARRIVAL}"
         )
 
 
@@ -326,7 +330,7 @@ Send topics of ROS 2 as streams of the Lab Streaming Layer.
   ros2 run lsl_to_ros ros_to_lsl --ros-args -p topics:="[/joint_states, /odom]"
   ros2 run lsl_to_ros ros_to_lsl --ros-args --params-file ros_to_lsl.yaml
 """
-_OF_TOPIC = 'Of one topic, as in -p /odom.name:=pose, after it is in "topics":'
+_OF_TOPIC = 'For one topic in "topics", as in -p /odom.name:=pose:'
 
 
 def usage() -> str:

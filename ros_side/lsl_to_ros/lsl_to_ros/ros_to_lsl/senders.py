@@ -23,8 +23,8 @@ LINGER_S = 0.25
 """How long an outlet stays open after its last sample, which LSL sends in a separate thread."""
 MAX_REPLACED, REPLACED_WITHIN_S = 10, 60.0
 _BULK = (
-    "its messages carry bulk data in {!r} (images, clouds of points and the like), which is not"
-    " for LSL; record it with ros2 bag, or name other fields"
+    "its messages carry bulk data in {!r} (images, point clouds and the like), which is not for "
+    "LSL; record it with ros2 bag, or name other fields"
 )
 TEXT_SUFFIX = "__text"
 """Suffix with two underscores, which no topic has, so that the name is unique."""
@@ -149,8 +149,8 @@ class NumberSender:
         is_full = len(self._replaced_at) == MAX_REPLACED
         if is_full and now - self._replaced_at[0] < REPLACED_WITHIN_S:
             message = (
-                "its sequences change all the time, and a stream has as many channels as it began"
-                " with; name fields that stay, or send it as json"
+                "the lengths of its sequences keep changing, but a stream keeps its number of "
+                "channels; name fields that stay, or send it as json"
             )
             raise SpecError(SpecReason.CONTRADICTORY, message)
         self._replaced_at.append(now)
@@ -241,7 +241,7 @@ def senders_for(
             return [NumberSender(fields, request, refusals), text]
     if send_as is SendAs.SAMPLES:
         if not any(each.kind is not FieldKind.TEXT for each in _leaves(fields)):
-            message = "its messages have no numbers; leave out 'as', or say markers"
+            message = "its messages have no numbers; leave out 'as', or set it to markers"
             raise SpecError(SpecReason.INVALID, message)
         return [NumberSender(fields, request, refusals)]
     if send_as is SendAs.JSON:

@@ -418,19 +418,19 @@ def doubt_of(source: StampSource, doubt: Doubt) -> str:
     """Return a sentence about a clock that may be wrong, and whether its stamps are used."""
     if doubt.is_used:
         return (
-            f"the stamps in its headers are up to {doubt.edge_s:.3f} s older than their arrival;"
-            " they are used, because the clock of its publisher is right"
+            f"the timestamps in its headers are up to {doubt.edge_s:.3f} s older than their "
+            "arrival; they are used, because its publisher's clock is right"
         )
     if doubt.is_mixed:
         before_after = "after" if doubt.edge_s < 0 else "before"
         what = "headers" if source is StampSource.HEADER else "publishers' clocks"
         return (
             f"by their {what}, some messages of its several publishers are from up to "
-            f"{abs(doubt.edge_s):.3f} s {before_after} their arrival; these are stamped by it: "
-            "synchronise the clocks (chrony, PTP)"
+            f"{abs(doubt.edge_s):.3f} s {before_after} their arrival; these get their time of "
+            "arrival: synchronise the clocks (chrony, PTP)"
         )
     whose = {
-        StampSource.HEADER: "the stamps in its headers are",
+        StampSource.HEADER: "the timestamps in its headers are",
         StampSource.SOURCE: "the clock of its publisher is",
     }[source]
     return f"{whose} {_how_far(doubt)}; they are not used: synchronise the clocks (chrony, PTP)"
@@ -438,13 +438,13 @@ def doubt_of(source: StampSource, doubt: Doubt) -> str:
 
 def _how_far(doubt: Doubt) -> str:
     if doubt.state is ClockState.BEHIND:
-        return f"behind by up to {doubt.edge_s:.3f} s, unless messages take that long to come"
+        return f"behind by up to {doubt.edge_s:.3f} s, unless messages take that long to arrive"
     if doubt.offset is not None:
         middle_s = (doubt.offset.least_s + doubt.offset.most_s) / 2
         direction = "ahead of" if middle_s > 0 else "behind"
         return f"{abs(middle_s):.3f} s {direction} this computer's time, as measured"
     direction = "ahead of" if doubt.edge_s < 0 else "behind"
-    return f"{abs(doubt.edge_s):.3f} s {direction} this computer's time, at least"
+    return f"at least {abs(doubt.edge_s):.3f} s {direction} this computer's time"
 
 
 def _header_ns(message: RosMessage) -> int:

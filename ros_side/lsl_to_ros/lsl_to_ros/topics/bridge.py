@@ -239,7 +239,7 @@ class Bridge:
     def _write_timed(self, run: Run) -> None:
         fits = self._stamping.are_times(run.stamps)
         if not fits.all():
-            why = f"a stamp of {run.stamps[~fits][0]:g} s is not a time"
+            why = f"a timestamp of {run.stamps[~fits][0]:g} s is not a time"
             self._refuse(Refusal.NO_TIME, int((~fits).sum()), why=why)
         # One text that cannot be decoded must not affect those that came with it.
         is_text = self.header.message_type.is_text

@@ -96,7 +96,7 @@ class TopicPublisher:
         """Return why a subscriber gets nothing; empty if it is compatible."""
         who = f"{reader.node_namespace.rstrip('/')}/{reader.node_name}"
         if reader.topic_type != self.type_name:
-            return f"{who} reads it as {reader.topic_type}, and it is {self.type_name}"
+            return f"{who} subscribes to it as {reader.topic_type}, but it is {self.type_name}"
         # rclpy can compare more policies, but DDS reports other values for "none" than those set.
         offered, asked = self.ros_publisher.qos_profile, reader.qos_profile
         pairs = ((offered.reliability, asked.reliability), (offered.durability, asked.durability))
@@ -105,7 +105,7 @@ class TopicPublisher:
             for there, wanted in pairs
             if (there, wanted) in _TOO_LITTLE
         ]
-        return f"it is {' and '.join(missing)}, as {who} wants it" if missing else ""
+        return f"it is {' and '.join(missing)}, as {who} requests" if missing else ""
 
     def _is_taken(self) -> bool:
         """Whether the reliable subscribers have received all published messages."""
@@ -172,7 +172,7 @@ class TopicPublishers:
         publisher = self._open.pop(key, None)
         if publisher is None:
             if any(other.topic == topic for other in used):
-                raise TopicTypeError(f"{topic} is in use with another type than {kind.__name__}")
+                raise TopicTypeError(f"{topic} is in use with a type other than {kind.__name__}")
             self.close(lambda other: other.topic == topic)
             try:
                 ros_publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
