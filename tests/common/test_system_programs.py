@@ -267,7 +267,7 @@ def test_a_system_that_does_not_list_open_files_refuses_no_stream(
     [
         (errno.EACCES, "choose another place"),
         (errno.EROFS, "another disk"),
-        (errno.ENOSPC, "make room"),
+        (errno.ENOSPC, "free some space"),
         (errno.ENAMETOOLONG, "a shorter name"),
         (errno.ENOENT, "make its folder first"),
     ],

@@ -229,8 +229,8 @@ def test_what_chrony_says(said: str, source: str, offset_s: float, bound_s: floa
 @pytest.mark.parametrize(
     ("tracking", "level", "part"),
     [
-        (computer.Tracking("192.168.1.1", -0.00025, 0.00175), Level.OK, "-0.250 ms off"),
-        (computer.Tracking("192.168.1.1", 0.001, 0.2), Level.NOTE, "200.000 ms at most"),
+        (computer.Tracking("192.168.1.1", -0.00025, 0.00175), Level.OK, "estimated -0.250 ms"),
+        (computer.Tracking("192.168.1.1", 0.001, 0.2), Level.NOTE, "at most 200.000 ms"),
         (computer.Tracking("", 0.0, 1.5), Level.NOTE, "not synchronised"),
     ],
 )

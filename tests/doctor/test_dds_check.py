@@ -132,7 +132,7 @@ def test_a_node_ends_gently() -> None:
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "is SUBNET", Level.OK),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "is LOCALHOST", Level.NOTE),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, "is OFF", Level.ERROR),
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "off"}, "none of SUBNET", Level.WARNING),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "off"}, "not one of SUBNET", Level.WARNING),
         (
             {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "127.0.0.1"},
             "is LOCALHOST",

@@ -177,7 +177,7 @@ def test_rules_for_something_else_are_left_out(other: str) -> None:
         (INSTALLED.replace("C:", "D:"), rf"is for {EXE.replace('C:', 'D:')}"),
         (
             INSTALLED.replace("|Profile=Private", ""),
-            "holds in domain networks only",
+            "applies only in domain networks",
         ),
         (INSTALLED.replace("Dir=In|", "Dir=In|LPort=80|"), "is for other ports or protocols"),
         (INSTALLED.replace("Action=Allow", "Action=Block"), "blocks"),

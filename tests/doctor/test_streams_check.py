@@ -158,7 +158,7 @@ def test_streams_without_a_mistake() -> None:
         ((replace(GOOD, round_trip_s=0.25),), "round trip 250.00 ms"),
         ((replace(GOOD, offset_s=None, round_trip_s=None),), "does not give its time"),
         ((replace(GOOD, source_id="-4611686018427387904"),), "invented by pylsl"),
-        ((replace(GOOD, stamp_error_s=-1.7e9),), "its stamps are -1700000000 s off"),
+        ((replace(GOOD, stamp_error_s=-1.7e9),), "its timestamps are -1700000000 s off"),
     ],
 )
 def test_what_the_rules_say(seen: Sequence[SurveyedStream], what: str) -> None:

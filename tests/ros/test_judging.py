@@ -161,7 +161,7 @@ def test_who_asks_for_no_more_than_there_is_fits(offered: QoSProfile, asked: QoS
 def test_another_type_is_named() -> None:
     told = misfit(USUAL, USUAL, "std_msgs/msg/Int32", "/robot")
     assert told == (
-        "/robot/client subscribes to it as std_msgs/msg/Int32, and it is std_msgs/msg/Float32"
+        "/robot/client subscribes to it as std_msgs/msg/Int32, but it is std_msgs/msg/Float32"
     )
 
 
@@ -180,7 +180,7 @@ def test_another_type_is_named() -> None:
 def test_what_is_asked_for_and_not_offered_is_named(
     offered: QoSProfile, asked: QoSProfile, expected: str
 ) -> None:
-    assert misfit(offered, asked) == f"it is {expected}, as /client wants it"
+    assert misfit(offered, asked) == f"it is {expected}, as /client requests"
 
 
 def test_what_dds_says_of_deadlines_is_no_misfit() -> None:

@@ -134,7 +134,7 @@ def test_a_subscriber_that_gets_nothing_is_told(ros: Ros, start_node: Start) -> 
         status = ros.status(topic)
         return "" if status is None else status.message
 
-    other_type = "/listener subscribes to it as std_msgs/msg/Int32, and it is std_msgs/msg/String"
+    other_type = "/listener subscribes to it as std_msgs/msg/Int32, but it is std_msgs/msg/String"
     ros.until(lambda: other_type in message(), "a warning of the type")
     assert status_of(ros, topic).level == DiagnosticStatus.WARN
     ros.until(lambda: node.count("[WARN]", topic, other_type) == 1, "a line in the log")
@@ -146,7 +146,7 @@ def test_a_subscriber_that_gets_nothing_is_told(ros: Ros, start_node: Start) -> 
     ros.listen(String, topic)
     ros.attached(topic, readers=1)
     # Of that one, nothing is said.
-    assert message() == f"{durability}, as /listener wants it"
+    assert message() == f"{durability}, as /listener requests"
     del outlet
 
 

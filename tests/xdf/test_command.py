@@ -182,8 +182,7 @@ def test_a_recording_that_grows_is_left_alone(
         ),
         (
             ("mount -t tmpfs -o size=4k tmpfs {0}",),
-            "No space left on device; free some space on that disk, or choose a place on another "
-            "one",
+            "No space left on device; free some space on that disk",
         ),
     ],
 )
@@ -201,7 +200,7 @@ def test_a_folder_that_takes_nothing_keeps_nothing(
         left = list(inside.iterdir())
     assert (code, printed, left) == (1, "", [])
     assert said.startswith("biosensor-gateway: cannot write ")
-    assert said.strip().endswith(why)
+    assert why in said
 
 
 # The command itself, as a process: what it prints, and its exit codes.
