@@ -354,7 +354,9 @@ def test_messages_that_are_none_are_counted(tmp_path: Path) -> None:
             writer.write(topic, BEGIN_NS, content)
     imported = import_bag(tmp_path / "a", tmp_path / "a.xdf")
     assert imported.streams == (("/load", 2),)
-    assert imported.damages == ("/load: 2 messages are left out (it is no std_msgs/msg/Float64)",)
+    assert imported.damages == (
+        "/load: 2 messages are left out (it is not a std_msgs/msg/Float64)",
+    )
 
 
 @pytest.mark.parametrize(

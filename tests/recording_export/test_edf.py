@@ -176,10 +176,10 @@ def test_no_measured_value_is_what_stands_in_a_gap(exported: Exporting) -> None:
 @pytest.mark.parametrize(
     ("is_even", "options", "said"),
     [
-        (True, [], "taken as 10 Hz, the rate of a line through its timestamps"),
+        (True, [], "treated as 10 Hz, the rate of a line through its timestamps"),
         (True, ["--rate", "b=5"], "--rate b: no stream without a rate"),
-        (False, ["--rate", "8"], "taken as about 8 Hz, as --rate says"),
-        (False, ["--rate", "b=5", "--rate", "a=8"], "taken as about 8 Hz, as --rate says"),
+        (False, ["--rate", "8"], "treated as about 8 Hz, as --rate says"),
+        (False, ["--rate", "b=5", "--rate", "a=8"], "treated as about 8 Hz, as --rate says"),
     ],
 )
 def test_the_command_takes_the_rate_of_a_stream_whose_header_names_none(

@@ -291,7 +291,7 @@ def test_all_that_is_said_of_the_export_is_in_it(name: str, exported: Exporting)
 def test_the_begin_is_told_on_the_clock_of_the_times(exported: Exporting) -> None:
     (written,) = exported(study(), "csv", clock=Clock.WALL).written
     text = (written.path / "README.txt").read_text("utf-8")
-    assert "begins at 1790000000.250000, which is 2026-09-21T14:13:20.250000+00:00" in text
+    assert "starts at 1790000000.250000, which is 2026-09-21T14:13:20.250000+00:00" in text
 
 
 # A table for each rate: every sample once, in the row of its time, beside what happened.

@@ -273,8 +273,8 @@ def test_features_read_each_signal_or_say_why_not(shape: str, tmp_path: Path) ->
     assert any(name.endswith("-ecg_sqi") for name in computed.counts)
     # What is done about stamps is said, of the shapes that need it and of no other.
     needs = {
-        "bursts": "even stamps",
-        "overlaps": "even stamps",
+        "bursts": "even timestamps",
+        "overlaps": "even timestamps",
         "a stamp from the future": "stamp",
         "a clock that was set back": "step",
         "a chunk twice": "left out",

@@ -458,7 +458,7 @@ def test_a_replay_plays_the_others_and_says_so(tmp_path: Path) -> None:
         assert [each.header.name for each in player.streams] == ["lsl"]
         assert player.progress().length_s < 10
         (sentence,) = playback.left_out(player)
-        assert sentence.startswith("warning: unix is not played, because its stamps are")
+        assert sentence.startswith("warning: unix is not played, because its timestamps are")
         alone = Player(choose(contents, Selection(streams=("unix",))), PlayOptions(), "hash")
         assert [each.header.name for each in alone.streams] == ["unix"]
         assert alone.progress().length_s == pytest.approx(4.9, abs=0.1)

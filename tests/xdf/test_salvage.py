@@ -184,7 +184,7 @@ def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) ->
     (place,) = outcome.places
     assert (place.begin_s, place.end_s) == (1.5, 9.5)
     assert table(outcome) == [("a", "11", "at least 15")]
-    assert "a: the timestamps after 1 of the damages" in "\n".join(after_table(outcome))
+    assert "a: the timestamps after 1 of the damaged places" in "\n".join(after_table(outcome))
 
 
 def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:

@@ -224,7 +224,7 @@ def _held_up(length_s: float, at: float) -> Verdict:
     """Explain a late report of the agent; its counts are cumulative, so none is lost."""
     text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
     if length_s < HELD_UP_S:
-        return Level.NOTE, "held-up", f"{text}; this loses nothing"
+        return Level.NOTE, "held-up", f"{text}; nothing is missing"
     late = (
         "streams without a clock, such as a heart rate, may have timestamps that are late by as "
         "much"
