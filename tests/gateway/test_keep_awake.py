@@ -282,7 +282,7 @@ def test_a_program_that_is_killed_is_noticed(programs: Programs, keep_awake: Mak
         wait_until(held_until(awake, logs, KEPT))
         os.kill(programs.process, signal.SIGKILL)
         wait_until(held_until(awake, logs, WARNED))
-    assert logs[-1]["error"] == "it ended by itself"
+    assert logs[-1]["error"] == "it ended unexpectedly"
 
 
 @pytest.mark.nightly

@@ -304,7 +304,7 @@ async def test_whoever_gets_another_marker_first_gets_only_that(heard_desk: Desk
 async def test_a_marker_that_nobody_receives_is_said(desk: Desk) -> None:
     with capture_logs() as logs:
         assert (await desk.ask("mark", marker="m"))["received"] is False
-        assert [each["event"] for each in logs] == ["a marker was sent that no program receives"]
+        assert [each["event"] for each in logs] == ["a marker was sent, but no program receives it"]
         await listened_to(desk)
         assert "received" not in await desk.ask("mark", marker="m")
         assert len(logs) == 1

@@ -219,7 +219,7 @@ def test_a_pause_that_cannot_be_kept_holds_and_is_said(
         assert (code, f"zephyr/{unit} is paused" in out) == (1, True)
         assert err.count("\n") == 1
         assert str(tmp_path / PAUSED_FILE) in err
-        assert "a new start of the agent would stream it again" in err
+        assert "restarting the agent would stream it again" in err
         wait_until(lambda: device(tmp_path)["paused"])
         agent.send_signal(signal.SIGINT)
         assert agent.wait(DEADLINE_S) == 0

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.nightly
 PROGRAM = [sys.executable, "-m", "biosensor_gateway.cli"]
 WATCH = [*PROGRAM, "status", "--watch"]
 ROW = re.compile(r"^Zephyr BioHarness 3 +(\w+) +\S+", re.MULTILINE)
-FOOT = "Press Ctrl-C to end the watch; the agent continues."
+FOOT = "Press Ctrl-C to stop watching; the agent continues."
 
 
 @pytest.fixture
