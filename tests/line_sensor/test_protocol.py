@@ -140,7 +140,7 @@ def test_decimal_commas_are_read_where_they_separate_nothing() -> None:
         (b'{"x":"1"}\n', {"format": "json"}, Flaw.NOT_A_NUMBER, "no number in x"),
         (b"[1]\n", {"format": "json"}, Flaw.COUNT, "has 1 values"),
         (b"[" * 3000 + b"\n", {"format": "json"}, Flaw.NOT_JSON, "no JSON"),
-        (b"\x00" * 10, FORM, Flaw.NO_FRAME, "begins with aa55"),
+        (b"\x00" * 10, FORM, Flaw.NO_FRAME, "starts with aa55"),
     ],
 )
 def test_a_line_that_does_not_fit_says_why_and_does_no_harm(
