@@ -149,7 +149,7 @@ def test_what_fails_on_the_way_leaves_nothing(
         exported(WHOLE, "csv-long", "failing")
     if isinstance(caught.value, RecordingError):
         assert caught.value.reason is RecordingReason.UNWRITABLE
-        assert "study_failing: No space left on device; make room" in str(caught.value)
+        assert "study_failing: No space left on device; free some space" in str(caught.value)
     assert _names(tmp_path) == ["study.csv", "study.csv.README.txt", "study.xdf"]
 
 

@@ -266,8 +266,8 @@ def refusal(error: OSError) -> str:
     refused = Path(error.filename).absolute()
     if any(refused.is_relative_to(each) or each.is_relative_to(refused) for each in own):
         return (
-            f"{what}; get permission to use it, or let {places.STATE_VARIABLE} name "
-            f"another folder and {places.SETTINGS_VARIABLE} another file"
+            f"{what}; get permission to use it, or set {places.STATE_VARIABLE} to "
+            f"another folder and {places.SETTINGS_VARIABLE} to another file"
         )
     return f"{what}; choose another file or folder, or get permission to use this one"
 
