@@ -113,6 +113,7 @@ ON_FILES = [
 
 @pytest.mark.parametrize("command", ON_FILES)
 @pytest.mark.parametrize("name", ["x" * 300, "a_file/beside"])
+@pytest.mark.usefixtures("logging_as_before")
 def test_a_name_that_cannot_be_a_file_is_one_sentence(
     command: str,
     name: str,
@@ -347,6 +348,7 @@ def test_a_preview_says_what_a_change_would_do() -> None:
         (["run", "--fault", "drop:5s@1s"], "add --simulate"),
     ],
 )
+@pytest.mark.usefixtures("logging_as_before")
 def test_an_empty_or_lonely_argument_is_refused(
     arguments: list[str],
     said: str,
