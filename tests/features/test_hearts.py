@@ -172,6 +172,19 @@ def test_a_signal_that_is_tenfold_from_one_moment_on_has_the_same_rate(
     assert np.mean(told.is_good) > 0.5
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("bpm", [45, 75, 100, 150])
+def test_waves_of_an_ecg_that_has_grown_tenfold_are_no_beats(bpm: float, seed: int) -> None:
+    beats = signals.regular(bpm, 50, seed=seed)
+    signal = signals.ecg_of(beats, 130.0, 50, seed)
+    signal[25 * 130 :] *= 10
+    events = signals.events_of("ECG", signal, 130.0)
+    assert told_of(events, beats).wrong == 0
+    found = signals.stamps_of(events, "beats")
+    # One T wave may come before the second of the larger beats.
+    assert np.sum([np.abs(beats - each).min() > 0.1 for each in found]) <= 3
+
+
 def test_a_state_is_as_good_as_what_its_rate_was_computed_from() -> None:
     beats = signals.regular(70, SECONDS)
     signal = signals.pulse_of(beats, PULSE_HZ, SECONDS)

@@ -70,6 +70,8 @@ SEARCH_BACK_INTERVALS, SEARCH_BACK_SHARE = 1.5, 0.5
 """[1]_: after so many usual intervals, a peak above this share of the threshold is a beat."""
 PEAKS_KEPT = 8
 """[1]_: of which medians are taken."""
+GROWN_LAST, GROWN_TIMES = 3, 8.0
+"""Of so many beats, two with so many times the usual energy are of a signal that has grown."""
 LEARNING_S, LEARNING_ALIKE, LEARNING_ARTEFACTS = (3.0, 8.0), 0.1, 2
 """[1]_ learns from 8 s; the largest peaks of each second, as there. Shorter where none of them has
 less than this share of the largest; else, so many may be artefacts, and the next one counts."""

@@ -203,5 +203,11 @@ class _Hamilton:
             self._intervals.append(peak.place - self._last.place)
         self._last = peak
         self._beats.append(peak.energy)
+        newest = list(self._beats)[-at.GROWN_LAST :]
+        grown = [each for each in newest if each > at.GROWN_TIMES * median(self._beats)]
+        if len(grown) > 1:
+            # The signal is larger from now on; compared with its beats before, T waves are beats.
+            self._beats.clear()
+            self._beats.extend(grown)
         self._passed_over = [each for each in self._passed_over if each.place > peak.place]
         return [peak.beat]
