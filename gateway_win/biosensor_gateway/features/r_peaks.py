@@ -207,6 +207,7 @@ class _Hamilton:
         grown = [each for each in newest if each > at.GROWN_TIMES * median(self._beats)]
         if len(grown) > 1:
             # The signal is larger from now on; compared with its beats before, T waves are beats.
+            # nothing is dropped: a memory of beats
             self._beats.clear()
             self._beats.extend(grown)
         self._passed_over = [each for each in self._passed_over if each.place > peak.place]
