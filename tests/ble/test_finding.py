@@ -200,7 +200,7 @@ async def test_two_of_a_name_are_refused_by_address(radio: Radio, probe: Probe) 
     async with heard(probe, namesake):
         error = await refusal(BleLink(choice(NAME)).open())
     assert error.reason is ProtocolReason.REFUSED
-    assert f"called {NAME} ({probe.address}, {namesake.address}); set `device`" in str(error)
+    assert f"name {NAME} ({probe.address}, {namesake.address}); set `device`" in str(error)
     link = BleLink(choice(namesake.address))
     assert (await link.open()).address == namesake.address
     await link.close()
