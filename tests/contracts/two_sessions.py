@@ -127,7 +127,7 @@ def _replay() -> None:
 
 
 def _probe() -> None:
-    survey._find({"config": "", "source_id": "PPG-ecg", "timeout_s": 1.0})
+    survey._find("PPG-ecg", 1.0)
 
 
 def _again(look: Callable[[], object]) -> Callable[[], None]:
@@ -164,7 +164,7 @@ def _run_resolvers() -> None:
     own = sys.argv[2]
     pylsl.ContinuousResolver = _Watched
     pylsl.resolve_bypred = _watched_resolve
-    survey._configure = survey.answer = _ignore
+    survey.answer = _ignore
     threads = [threading.Thread(target=run, name=case, daemon=True) for case, run in CASES.items()]
     for thread in threads:
         thread.start()

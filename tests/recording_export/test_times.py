@@ -223,8 +223,10 @@ def test_a_marker_stands_at_the_sample_that_was_measured_then(
     ]
     about = json.loads(sidecar.read_text())
     rows = [line.split("\t") for line in gzip.decompress(table.read_bytes()).decode().splitlines()]
-    place = [round((each - about["StartTime"]) * about["SamplingFrequency"]) for each in onsets]
-    assert [float(rows[each][1]) for each in place] == pytest.approx(at, abs=5)
+    begin_s, rate = float(about["StartTime"]), float(about["SamplingFrequency"])
+    place = [round((each - begin_s) * rate) for each in onsets]
+    found = [float(rows[each][1]) for each in place]
+    assert found == pytest.approx(at, abs=5)
 
 
 @pytest.mark.parametrize(
@@ -256,6 +258,7 @@ def test_a_clock_may_stand_still_longer_than_what_is_looked_at_at_once(length: i
     assert [(each.at, each.count) for each in cuts.pace.standstills] == [(50_000, length)]
     assert (cuts.numbers, cuts.holes) == ([], [])
     found = cuts.times(0, 0, len(stamps))
+    assert found is not None
     np.testing.assert_allclose(found, BEGIN_S + np.arange(300_000) / REAL_HZ, atol=1e-3)
 
 

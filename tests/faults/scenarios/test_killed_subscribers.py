@@ -17,14 +17,13 @@ import numpy as np
 import pylsl
 import pytest
 
-from tests.faults.scenarios import length
-from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.figures import Record, is_long
 from tests.faults.scenarios.killed_subscribers import AT_ONCE, PATIENCE_S
 from tests.faults.scenarios.one_computer import ThisMachine
 from tests.rigs.hosts.programs import Program
 
 FAULT = "subscribers killed while they take messages"
-ROUNDS = 100 if length.is_long() else 10
+ROUNDS = 100 if is_long() else 10
 RATE_HZ = 500.0
 PUSH_S = 0.02
 
