@@ -285,7 +285,7 @@ async def test_a_rate_that_is_not_declared_is_said_with_both_rates(
         await until(run.sink.has(COUNT, *measured(device)[:1]))
         hz = next(each for each in RATES_HZ if each != device.settings.get("rate_hz"))
         device.apply(Fault(kind, hz))
-        await until(lambda: f"{hz:g} times a second" in run.error)
+        await until(lambda: f"{hz:g} times per second" in run.error)
         assert "set `" in run.error
         device.clear(kind)
         await until(lambda: not run.error)

@@ -57,7 +57,7 @@ async def test_the_firmware_with_a_fast_pulse_is_read(emotibit: MakeEmotiBit) ->
     [
         (100.0, 25, "100 times per second, but its setting `ppg_rate` is 25; set `ppg_rate = 100`"),
         (25.0, 100, "25 times per second, but its setting `ppg_rate` is 100; set `ppg_rate = 25`"),
-        (50.0, 100, r"5\d times a second, .* `ppg_rate` is 100; install a firmware that has 25 or"),
+        (50.0, 100, r"5\d times per second, .* `ppg_rate` is 100; install a firmware that has 25 or"),
     ],
 )
 async def test_another_rate_of_the_pulse_is_refused(
@@ -374,7 +374,7 @@ def test_a_sensor_of_another_rate_is_said_and_stamped_by_that(
 ) -> None:
     sink = emitted(rounds(seconds=30, others=others))
     hz = min(others.values())
-    assert f"{name} is measured {hz:.1f} times a second" in " ".join(sink.watch.remarks.values())
+    assert f"{name} is measured {hz:.1f} times per second" in " ".join(sink.watch.remarks.values())
     assert len(sink.watch.remarks) == 1
     assert not any(sink.losses.values())
     assert np.abs(errors_s(sink, name, hz)[round(12 * hz) :]).max() < 0.02

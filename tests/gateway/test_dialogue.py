@@ -177,5 +177,5 @@ async def test_nobody_who_never_listens_lets_the_memory_overflow(
 
 
 async def test_a_question_before_the_beginning_is_a_mistake() -> None:
-    with pytest.raises(RuntimeError, match="begun"):
+    with pytest.raises(RuntimeError, match="started"):
         await Device().ask("rate")
