@@ -57,7 +57,11 @@ async def test_the_firmware_with_a_fast_pulse_is_read(emotibit: MakeEmotiBit) ->
     [
         (100.0, 25, "100 times per second, but its setting `ppg_rate` is 25; set `ppg_rate = 100`"),
         (25.0, 100, "25 times per second, but its setting `ppg_rate` is 100; set `ppg_rate = 25`"),
-        (50.0, 100, r"5\d times per second, .* `ppg_rate` is 100; install a firmware that has 25 or"),
+        (
+            50.0,
+            100,
+            r"5\d times per second, .* `ppg_rate` is 100; install a firmware that has 25 or",
+        ),
     ],
 )
 async def test_another_rate_of_the_pulse_is_refused(
