@@ -421,7 +421,6 @@ def test_a_held_output_ends_nobody_s_patience_twice(held: Held) -> None:
     held.is_released.set()
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 def test_lines_of_many_threads_stay_whole_and_each_in_its_order() -> None:
     lines: list[bytes] = []

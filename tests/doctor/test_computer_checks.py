@@ -453,9 +453,8 @@ def levels(findings: list[dict[str, Any]]) -> list[str]:
     return [each["level"] for each in findings]
 
 
-@pytest.mark.system
-@pytest.mark.timeout(300)
 @pytest.mark.seam
+@pytest.mark.timeout(300)
 def test_no_network(tmp_path: Path) -> None:
     with Host("lab-pc") as host:
         before = doctor(host, tmp_path)

@@ -198,7 +198,6 @@ def frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return program
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 def test_a_stream_is_found_by_unicast(examine: Examine, context: Context, session: str) -> None:
     del session

@@ -244,7 +244,6 @@ def lsl_inlets(monkeypatch: pytest.MonkeyPatch) -> list[pylsl.StreamInlet]:
     return keep_lsl_inlets(monkeypatch)
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 @pytest.mark.parametrize(
     ("channel_format", "dtype", "sample"),
@@ -274,7 +273,6 @@ def test_numbers_of_every_format_come_as_they_are(
     assert receiver.stamps == [5.0 + number for number in range(count)]
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 @pytest.mark.parametrize("count", [1, 3])
 def test_text_is_decoded(open_inlet: Open, count: int) -> None:
@@ -436,7 +434,6 @@ def is_lost(lsl: pylsl.StreamInlet) -> bool:
     return False
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 @pytest.mark.parametrize("count", [0, 1, 23])
 def test_what_lsl_drops_when_an_outlet_dies_is_counted(
@@ -509,7 +506,6 @@ def test_a_receiver_that_fails_ends_the_inlet_with_a_word(
     assert "by nothing" in sentence
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 def test_a_stream_that_ends_before_it_is_open_is_lost(warnings: list[str]) -> None:
     source = Source()

@@ -211,7 +211,6 @@ GOOD = x.xdf(*x.regular(1, "belt", TIMES, 10.0))
 GAP = x.xdf(*x.regular(1, "belt", TIMES[:100] + TIMES[130:], 10.0))
 
 
-@pytest.mark.nightly
 @pytest.mark.seam
 def test_a_good_recording(command: Command) -> None:
     code, printed, said = command(str(command.recording), content=GOOD)
