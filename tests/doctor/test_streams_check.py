@@ -95,7 +95,7 @@ def test_a_source_id_is_in_another_session_too(
         found = examine(context, "streams")
     bad = only(found, "another LSL session")
     assert bad.level is Level.ERROR
-    assert f"has the source_id {TWICE}, too: theirs on" in bad.what
+    assert f"also has the source_id {TWICE}: theirs on" in bad.what
     assert f"in session '{session}-b'" in bad.what
 
 

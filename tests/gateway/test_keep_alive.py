@@ -191,7 +191,7 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(tmp_path: Path) -
     said = (tmp_path / "stderr.txt").read_text()
     assert "the agent has died (killed by SIGKILL) and is restarted now" in said
     log = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]
-    (restart,) = [each for each in log if "was started again" in each["event"]]
+    (restart,) = [each for each in log if "was restarted" in each["event"]]
     assert (restart["restarts"], restart["last_end"]) == (1, "killed by SIGKILL")
     assert not (tmp_path / STREAMS_FILE).exists()
 

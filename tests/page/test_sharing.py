@@ -83,7 +83,7 @@ def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: Op
     page.goto(f"{shared.view}{shared.door}")
     assert page.url == f"{shared.view}/"
     expect(page.locator(".card", has_text="streaming")).to_have_count(1)
-    expect(page.get_by_text("nothing is recorded")).to_be_visible()
+    expect(page.get_by_text("not recording")).to_be_visible()
     spark = page.locator("canvas").first
     before = spark.evaluate("canvas => canvas.toDataURL()")
     page.wait_for_function(
@@ -96,7 +96,7 @@ def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: Op
     expect(bar).to_have_count(0)
     page.set_viewport_size({"width": 400, "height": 300})
     page.get_by_role("button").scroll_into_view_if_needed()
-    expect(bar.get_by_text("nothing is recorded")).to_be_in_viewport()
+    expect(bar.get_by_text("not recording")).to_be_in_viewport()
     assert page.locator("input").count() == 0
     pressed = page.get_by_role("button")
     expect(pressed).to_have_count(1)
