@@ -269,7 +269,7 @@ async def test_nobody_listening_is_absent(peer: Peer) -> None:
         (OSError(errno.ECONNREFUSED, "x"), TransportReason.ABSENT, "nothing listens"),
         (OSError(errno.EHOSTUNREACH, "x"), TransportReason.ABSENT, "does not answer"),
         (TimeoutError("timed out"), TransportReason.ABSENT, "does not answer"),
-        (OSError(errno.ENETUNREACH, "x"), TransportReason.ABSENT, "no way to that network"),
+        (OSError(errno.ENETUNREACH, "x"), TransportReason.ABSENT, "no route to that network"),
         (OSError(errno.EACCES, "x"), TransportReason.DENIED, "firewall"),
         (socket.gaierror(socket.EAI_NONAME, "x"), TransportReason.ABSENT, "no such host"),
         (OSError(errno.EIO, "something odd"), TransportReason.ABSENT, "something odd"),

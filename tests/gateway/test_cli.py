@@ -560,7 +560,7 @@ def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab) ->
     [
         ("[lsl\n", ["line 1", "not valid TOML"]),
         ('[lsl]\nsesion_id = "a"\n', ["line 2", "lsl.sesion_id", "unknown"]),
-        ('[lsl]\nport_range = "many"\n', ["line 2", "lsl.port_range", "whole number"]),
+        ('[lsl]\nport_range = "many"\n', ["line 2", "lsl.port_range", "integer"]),
         (
             '[[device]]\nsensor = "zephyr"\nunit = 7\nport = "COM7"\n',
             ["line 3", "device.unit", "text in quotes"],

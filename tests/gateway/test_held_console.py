@@ -44,7 +44,7 @@ DEADLINE_S = 30.0
 PATIENCE_S = 10.0
 ANSWERED_S = 1.0
 """What is required of the agent, from connecting to its answer."""
-HELD = "the console takes no output"
+HELD = "the console accepts no output"
 # More than Linux keeps for a terminal, which is 64 KiB at most.
 COMMANDS = 400
 SAMPLES_MEANWHILE = 400
@@ -177,7 +177,7 @@ def test_a_released_console_shows_all_that_was_said_meanwhile_and_the_last_lines
 
 # A log file on a disk that hangs: a FIFO that nobody reads takes as little.
 LINES, PADDING = 4000, "x" * 400
-HUNG = "the log file takes no output"
+HUNG = "the log file accepts no output"
 LOG = structlog.stdlib.get_logger("biosensor_gateway.test")
 # What it logs must come to the console while the file is held, and then it has to end.
 PROGRAM = """

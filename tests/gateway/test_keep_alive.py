@@ -261,7 +261,7 @@ def test_a_standby_can_ask_who_sits_there(tmp_path: Path) -> None:
         terminal.until(lambda _seen: len(supervisor.children()) == 2)
         agent, standby = sorted(supervisor.children(), key=lambda each: each.create_time())
         agent.kill()
-        terminal.until(lambda seen: "is started again now" in seen and seen.endswith(MENU))
+        terminal.until(lambda seen: "is restarted now" in seen and seen.endswith(MENU))
         assert standby in supervisor.children()
         terminal.type("3\n")
         assert terminal.exit_code() == 0
@@ -444,7 +444,7 @@ def test_who_dies_soon_has_no_standby(kept_with_standby: Kept) -> None:
     supervisor.send_signal(signal.SIGTERM)
     supervisor.wait(DEADLINE_S)
     assert kept_with_standby.story("stands by") == []
-    whens = [line.partition(" again ")[2] for line in kept_with_standby.told]
+    whens = [line.partition(" restarted ")[2] for line in kept_with_standby.told]
     assert whens[:2] == ["now", "in 1 s"]
 
 

@@ -148,7 +148,7 @@ def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: 
         outcome = run("scan", "--seconds", "2")
     assert all(f'device = "{each}"' in outcome.out for each in addresses)
     assert (
-        f"  2 are called {name}: only the address under `device` distinguishes them. Hold one "
+        f"  2 have the name {name}: only the address under `device` distinguishes them. Hold one "
         "close to this computer and scan again: the nearest comes first.\n"
     ) in outcome.out
 

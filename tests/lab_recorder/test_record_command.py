@@ -60,7 +60,7 @@ def test_it_records_until_it_is_stopped(record: Record, tmp_path: Path) -> None:
     assert {stream["source_id"] for stream in started["streams"]} >= OURS
     assert 0 < started["bytes"] <= file.stat().st_size
 
-    assert "recording already" in sentence(record("start", "--folder", str(folder)))
+    assert "already recording" in sentence(record("start", "--folder", str(folder)))
     during = record("status", "--json")
     assert during.code == 0
     assert (during.json["recording"], during.json["file"]) == (True, str(file))
@@ -87,7 +87,7 @@ def test_a_file_of_any_name_is_written_in_lower_case(record: Record, tmp_path: P
     assert ended.code == 0
     assert "is closed" in ended.out
     again = sentence(record("start", "--file", str(tmp_path / "Night One.xdf")))
-    assert "there already" in again
+    assert "already exists" in again
     assert [path.name for path in tmp_path.glob("*.xdf")] == ["night one.xdf"]
 
 

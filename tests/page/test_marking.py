@@ -255,7 +255,7 @@ def test_a_recording_is_played_marked_and_ended(
     panel = page.get_by_role("region", name="Play a recording")
     panel.get_by_label("Recording").select_option("another file …")
     panel.get_by_label("full path").fill("study.xdf")
-    expect(panel.get_by_role("alert")).to_contain_text("not a full path")
+    expect(panel.get_by_role("alert")).to_contain_text("not the full path")
     panel.get_by_label("full path").fill(str(recording))
     expect(panel.get_by_text("0:09:59 long, 3 streams")).to_be_visible()
     panel.get_by_text("Streams: all").click()
@@ -305,7 +305,7 @@ def test_a_replay_ends_with_the_page(server: Server, tmp_path: Path) -> None:
     wanted = {"path": str(recording), "streams": ["alone"]}
     assert server.tell("POST", "replay/start", cookie, wanted).status == 200
     again = server.tell("POST", "replay/start", cookie, wanted)
-    assert (again.status, b"being played already" in again.body) == (409, True)
+    assert (again.status, b"already being played" in again.body) == (409, True)
     resolver = pylsl.ContinuousResolver(prop="name", value="alone", forget_after=1.0)
     wait_until(lambda: bool(resolver.results()))
     server.process.terminate()

@@ -158,7 +158,7 @@ def test_what_cannot_be_recorded_is_said_and_nothing_is_written(
     for folder, sentence in (
         ("recordings", "is not a full path"),
         (str(tmp_path / "settings.toml"), "cannot make the folder"),
-        (str(tmp_path / "recordings"), "no LSL stream at all"),
+        (str(tmp_path / "recordings"), "no LSL stream, so"),
     ):
         session.get_by_label("Folder").fill(folder)
         session.get_by_role("button", name="Record").click()

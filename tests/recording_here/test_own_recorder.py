@@ -226,7 +226,7 @@ def test_it_takes_over_from_a_program_that_does_not_record(
     monkeypatch.setattr(local, "PROGRAM_S", 5.0)
     recording = LocalRecorder(state)
     begun = recording.start(request(tmp_path), sources.presence)
-    (warning,) = (each for each in begun.warnings if OWN in each)
+    (warning,) = (each for each in begun.warnings if OWN[1:] in each)
     assert LAB_RECORDER in warning
     assert said in warning
     kept = RecorderFolder(state).saved()

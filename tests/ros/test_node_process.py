@@ -203,7 +203,7 @@ def test_a_released_console_shows_what_was_said_meanwhile_in_its_colours(ros: Ro
     with console.program(command, os.environ) as node:
         ros.report()
         console.release()
-        ros.until(lambda: "processes is not" in console.shown, "what was wrong")
+        ros.until(lambda: "processes is no longer" in console.shown, "what was wrong")
         node.send_signal(signal.SIGINT)
         assert node.wait(DEADLINE_S) == 0
     assert "\x1b[31m" in console.shown

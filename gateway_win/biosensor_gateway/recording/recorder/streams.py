@@ -222,9 +222,9 @@ def require_startable(
     if presence.away and not request.without_away:
         raise SensorsAwayError(presence.away)
     if not wanted:
-        whose = "of this agent" if presence.visible else ""
+        whose = " of this agent" if presence.visible else ""
         message = (
-            f"this computer sees no LSL stream {whose}, so there is nothing to record; start an "
+            f"this computer sees no LSL stream{whose}, so there is nothing to record; start an "
             "agent with: biosensor-gateway run"
         )
         raise RecorderError(RecorderReason.STREAMS_MISSING, message)
