@@ -283,7 +283,7 @@ def test_a_recording_is_played_marked_and_ended(
     assert violations(page) == []
 
     card.get_by_role("button", name="Traces and details").click()
-    expect(page.get_by_text("nobody is measured now")).to_be_visible()
+    expect(page.get_by_text("nobody is being measured now")).to_be_visible()
     expect(page.locator("tr", has_text="sine[1]")).to_contain_text("of 100 Hz")
     expect(page.get_by_role("button", name="Pause")).to_have_count(0)
 

@@ -461,9 +461,15 @@ def test_a_clock_in_a_sawtooth_is_not_called_synchronised(
             status = ros.status(topic)
             return status is not None and status["clock_source"].startswith(("behind", "wrong"))
 
-        ros.until(is_doubted, "a clock that is behind or wrong")
-        ros.spin(2.0)
-        assert is_doubted()
+        def stays_doubted(is_doubted: Callable[[], bool] = is_doubted) -> bool:
+            if not is_doubted():
+                return False
+            ros.spin(2.0)
+            return is_doubted()
+
+        # Where the test begins within a slow sawtooth, its first reset may come soon and be
+        # believed; a clock that falls behind twice is not trusted again.
+        ros.until(stays_doubted, "a clock that stays behind or wrong")
         off_s, _ = stamps_off_s(ros, name, column)
         # The first time that it is set, it may have been the way: noticed after some seconds.
         assert abs(off_s) < 0.05

@@ -175,7 +175,8 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
         elif event.get("event") == EventKind.DEVICE_ADDED:
             # A device added again under the same name is recorded again.
             ended.pop(identity, None)
-    for identity, at in (EventLog.of(events.stream.texts, recorded).gone | ended).items():
+    gone = EventLog.of(events.stream.texts, recorded).gone | ended
+    for identity, at in sorted(gone.items(), key=lambda each: each[1]):
         text = (
             f"{_named(identity)} was removed or renamed in the settings at "
             f"{extent.since_begin(at, events):.1f} s, and none of its data was recorded since"
@@ -351,7 +352,7 @@ class EventLog:
         Parameters
         ----------
         recorded
-            Devices of this agentthat are recorded.
+            Devices of this agent that are recorded.
         """
         for event in _events(texts):
             self._first_s = _time(event) if self._first_s is None else self._first_s
