@@ -255,9 +255,9 @@ REPEATED = re.compile(r"ibi: \d+ samples were not sent: intervals between beats 
 expect.set_options(1000 * DEADLINE_S)
 
 
-def test_it_stands_where_a_person_looks(
-    server: Server, window: Callable[..., Page], programs: Programs
-) -> None:
+def test_it_stands_where_a_person_looks(window: Callable[..., Page], programs: Programs) -> None:
+    # Not that of the module: it shows the agent of these programs.
+    server = Server(programs)
     programs.start(*AGENT.split())
     with other_streams([SKIN]):
         page = window()
@@ -325,8 +325,9 @@ def told(page: Page, path: str) -> Any:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="halts a program by a signal")
 def test_features_are_shown_with_their_quality_marked_in_traces_and_never_stale(
-    server: Server, window: OpenWindow
+    programs: Programs, window: OpenWindow
 ) -> None:
+    server = Server(programs)
     server.programs.start("run", "--no-ask", "--simulate", "polar_h10")
     features = server.programs.start("features")
     network = Server(server.programs, "--lsl")
