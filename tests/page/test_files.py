@@ -76,6 +76,8 @@ async def test_a_folder_is_exported_and_what_was_not_is_said(page: Page, recordi
     assert (recording.parent / "one.csv").exists() or list(recording.parent.glob("one*csv*"))
     # None has a heart, and one is no recording: neither is silent, neither keeps the rest away.
     assert not any(each["is_certain"] for each in done.values())
+    written = {name for name, each in done.items() if each["is_written"]}
+    assert written == {"one.xdf", "two.xdf"}
     assert any("kubios" in said for said in done["one.xdf"]["said"])
     assert any("broken.xdf" in said for said in done["broken.xdf"]["said"])
 
@@ -101,6 +103,7 @@ async def test_nothing_is_overwritten(page: Page, recording: Path) -> None:
     before = {path: path.read_bytes() for path in recording.parent.rglob("*") if path.is_file()}
     again = await exported(page, path=str(recording), formats=["csv"])
     assert not again["done"][0]["is_certain"]
+    assert (first["done"][0]["is_written"], again["done"][0]["is_written"]) == (True, False)
     assert first["done"][0]["said"] != again["done"][0]["said"]
     after = {path: path.read_bytes() for path in recording.parent.rglob("*") if path.is_file()}
     assert after == before

@@ -87,9 +87,18 @@ class NewExport(RecordingPath):
 
 
 class ExportedView(BaseModel):
-    """Outcome of one recording's export; `is_certain` if all of it is written."""
+    """Outcome of one recording's export.
+
+    Attributes
+    ----------
+    is_written
+        Whether anything of it is written, now or before.
+    is_certain
+        Whether all of it is written, with certain names.
+    """
 
     recording: str
+    is_written: bool
     is_certain: bool
     said: list[str]
 
@@ -307,4 +316,9 @@ def _exported(one: Exported) -> ExportedView:
         said = [f"{one.recording} was already added"]
     else:
         said = list(sentences(one.outcome))
-    return ExportedView(recording=one.recording.name, is_certain=one.is_certain, said=said)
+    return ExportedView(
+        recording=one.recording.name,
+        is_written=not one.error,
+        is_certain=one.is_certain,
+        said=said,
+    )

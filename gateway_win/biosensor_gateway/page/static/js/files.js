@@ -33,21 +33,32 @@ function Judged({ judged }) {
       </details>`}`;
 }
 
+const OUTCOMES = {
+  whole: ["●", "good", "Everything is exported"],
+  partial: ["◐", "warn", "Exported, but incomplete or uncertain: read below"],
+  none: ["■", "bad", "No recording was exported"],
+};
+
 function Exported({ view, onEnd }) {
   const place = view.done.length + view.part;
   const isWhole = !view.problem && view.done.length === view.count && view.done.every((each) => each.is_certain);
+  const outcome = (isCertain, isWritten) => OUTCOMES[isCertain ? "whole" : isWritten ? "partial" : "none"];
+  const [sign, tone, word] = outcome(isWhole, view.done.some((each) => each.is_written));
   return html`
     ${view.is_running && html`
       <p role="status">Writing ${view.format} of ${view.recording || "the first recording"} …</p>
       <progress max=${view.count || 1} value=${place} aria-label="Export progress"></progress>
       ${view.count > 1 && html`<button onClick=${onEnd}>End after this recording</button>`}`}
     ${!view.is_running && view.count > 0 && html`
-      <p class=${`state ${isWhole ? "good" : "warn"}`} role="status"><span aria-hidden="true">${isWhole ? "●" : "◐"}</span> ${isWhole ? "Everything is exported" : "Exported, but incomplete or uncertain: read below"}</p>`}
+      <p class=${`state ${tone}`} role="status"><span aria-hidden="true">${sign}</span> ${word}</p>`}
     ${view.problem && html`<p class="reason" role="alert">${view.problem}</p>`}
     ${view.said.map((each) => html`<p class="reason small">${each}</p>`)}
-    ${view.done.map((each) => html`
-      <details key=${each.recording} open=${!each.is_certain || view.count === 1}><summary><span class=${`state ${each.is_certain ? "good" : "warn"}`}>${each.is_certain ? "●" : "◐"}</span> ${each.recording}</summary>
-        <ul class="small">${each.said.map((said) => html`<li class="file">${said}</li>`)}</ul></details>`)}`;
+    ${view.done.map((each) => {
+      const [mark, shade] = outcome(each.is_certain, each.is_written);
+      return html`
+        <details key=${each.recording} open=${!each.is_certain || view.count === 1}><summary><span class=${`state ${shade}`}>${mark}</span> ${each.recording}</summary>
+          <ul class="small">${each.said.map((said) => html`<li class="file">${said}</li>`)}</ul></details>`;
+    })}`;
 }
 
 function Export({ path, isFile }) {
