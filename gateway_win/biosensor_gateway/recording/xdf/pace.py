@@ -173,16 +173,10 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         turns = sorted([*turns, *falls])
         rests = _rests(stamps, turns, period_s)
         spread_s, moves_s = _spread(rests, window, period_s)
-    bounds = [0, *turns, len(stamps)]
     most_s = max(period_s / 2, _UNUSUAL * moves_s)
     holes = [
-        Hole(
-            begin + at,
-            jump_s + period_s,
-            round(min(jump_s / period_s, MOST_LOST)),
-            float(given[begin + at - 1]),
-        )
-        for begin, rest in zip(bounds, rests, strict=False)
+        Hole(begin + at, jump_s + period_s, _lost(jump_s, period_s), float(given[begin + at - 1]))
+        for begin, rest in zip([0, *turns], rests, strict=True)
         for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
     ]
     turns = sorted([*turns, *(each.at for each in holes if each.length_s > LONGEST_PAUSE_S)])
@@ -211,6 +205,10 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         late_first,
         float(np.max(stamps[:late_first] - lines[0].times(0, late_first, period_s), initial=0.0)),
     )
+
+
+def _lost(jump_s: float, period_s: float) -> int:
+    return round(min(jump_s / period_s, MOST_LOST))
 
 
 def section_of(rate_hz: float) -> int:
