@@ -98,7 +98,7 @@ USUALLY_IMPOSSIBLE: Mapping[Kind, str] = MappingProxyType(
     {
         Untidiness.APART: "all channels of a signal come in one message",
         Untidiness.PACE: "its sensors run on the clock that it reports: a fast clock drifts",
-        FaultKind.STEP_BACK: "none of its values is made of counts",
+        FaultKind.STEP_BACK: "none of its values is computed from counters",
     }
 )
 """Faults that most kinds of devices cannot have, with reasons."""

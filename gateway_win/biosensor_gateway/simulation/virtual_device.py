@@ -16,9 +16,9 @@ from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _IN_ORDER = "its transport keeps the order of bytes"
-_HELD_BY_HOST = "only the computer itself delays its bytes for seconds, as when it sleeps"
-_NO_NAME = "it is not found by a name over the air"
-_NO_ADDRESS = "its settings say where it is, so it is not searched for over the air"
+_HELD_BY_HOST = "only the computer can delay its bytes for seconds, for example while asleep"
+_NO_NAME = "it is not found by a name on the radio"
+_NO_ADDRESS = "its settings contain its address, so nothing searches for it by radio"
 
 
 @unique

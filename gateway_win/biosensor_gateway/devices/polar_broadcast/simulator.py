@@ -36,7 +36,7 @@ _BATTERY, _SKIN, _ON_AIR = 0x01, 0x02, 0x20
 _SLOW_SECONDS = 8
 # Both are longer than the time until new data are advertised.
 _GARBAGE_S, _BETWEEN_S = 0.1, 0.15
-_NO_LINK = "nobody connects to it, so there is nothing to ask, to refuse or to forget"
+_NO_LINK = "nothing connects to it, so it has nothing to answer, refuse or forget"
 
 EXPECTED = replace(
     ANY_STRAP,
@@ -51,8 +51,8 @@ EXPECTED = replace(
         ),
         FaultKind.REPEAT: NO_INTERVALS,
         Untidiness.RATE: NO_RATE,
-        Untidiness.STRAY: "what others advertise has their address",
-        FaultKind.LOW_BATTERY: "it tells no charge, only whether the battery will do",
+        Untidiness.STRAY: "other devices advertise with their own address",
+        FaultKind.LOW_BATTERY: "it reports no charge, only whether the battery is sufficient",
     },
     is_linked=False,
 )

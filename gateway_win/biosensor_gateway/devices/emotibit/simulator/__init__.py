@@ -52,9 +52,9 @@ EXPECTED = Expected(
     loss_tolerance=LossTolerance(over_break=2),
     impossible={
         FaultKind.OFF_BODY: _UNAWARE,
-        FaultKind.DENY: "it sends what it measures without being asked for signals",
-        Untidiness.STRAY: "a packet with a number of its own is a loss to who does not know it",
-        FaultKind.REPEAT: "an interval that it finds it sends once, with its own number",
+        FaultKind.DENY: "it sends its measurements without a request",
+        Untidiness.STRAY: "a foreign packet takes a packet number, so it counts as a loss",
+        FaultKind.REPEAT: "each interval is sent once, in a packet with its own number",
     },
 )
 

@@ -126,7 +126,7 @@ class SimulatedLineSensor(VirtualDevice):
             FaultKind.OFF_BODY: _NO_STATE,
             FaultKind.DENY: _NO_COMMANDS,
             FaultKind.REPEAT: NO_INTERVALS,
-            FaultKind.STEP_BACK: "one whose count steps back was restarted",
+            FaultKind.STEP_BACK: "if its counter steps back, it was restarted",
         },
     )
     format_settings: ClassVar[Mapping[str, Any]] = MappingProxyType({"format": "csv"})

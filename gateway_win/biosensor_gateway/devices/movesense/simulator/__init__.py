@@ -220,9 +220,9 @@ _DENIABLE = ("hr", "temp", "ecg", "movement")
 EXPECTED = replace(
     ANY_STRAP,
     impossible={
-        FaultKind.REPEAT: "it tells each interval in a message of its own",
-        Untidiness.RATE: "who subscribes says the rate, in the path",
-        Untidiness.STRAY: "a message of another subscription is one of garbage",
+        FaultKind.REPEAT: "each interval comes in its own message",
+        Untidiness.RATE: "the subscription's path contains the rate",
+        Untidiness.STRAY: "a message of another subscription counts as garbage",
     },
     # The device is off during the gap.
     gaps={FaultKind.RESTART: Gap.STOPPED},

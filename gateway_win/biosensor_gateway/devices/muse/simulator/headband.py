@@ -43,11 +43,11 @@ CLASSIC = Expected(
     # Counters restart with each connection, so its start is only known by the arrival.
     loss_tolerance=LossTolerance(over_break=48, by_arrival=True),
     impossible={
-        FaultKind.OFF_BODY: "it does not tell whether anybody wears it",
+        FaultKind.OFF_BODY: "it does not report whether it is worn",
         FaultKind.REPEAT: NO_INTERVALS,
         Untidiness.RATE: ONE_RATE,
-        Untidiness.APART: "packets leave in the order of their electrodes; one of which none "
-        "leave is a loss",
+        Untidiness.APART: "packets are sent in the order of their electrodes, so a missing "
+        "one is a loss",
     },
 )
 ATHENA = replace(
@@ -56,7 +56,7 @@ ATHENA = replace(
     impossible={
         **CLASSIC.impossible,
         Untidiness.APART: USUALLY_IMPOSSIBLE[Untidiness.APART],
-        FaultKind.DENY: "all that it measures comes by one characteristic",
+        FaultKind.DENY: "one characteristic carries all measurements",
     },
     # Counters restart with each connection, so its start is only known by the device's clock.
     loss_tolerance=LossTolerance(over_break=48),

@@ -46,7 +46,7 @@ EXPECTED = replace(
     impossible={
         FaultKind.REPEAT: "its intervals add up to the time that passed",
         Untidiness.RATE: TELLS_ITS_RATE,
-        Untidiness.STRAY: "a frame of another measurement is one of garbage",
+        Untidiness.STRAY: "a frame of another measurement counts as garbage",
     },
     bundles_s=8.0,
     # The device is off during the gap.

@@ -135,7 +135,7 @@ WITHOUT_ELECTRODES = replace(
     EXPECTED,
     impossible={
         **EXPECTED.impossible,
-        FaultKind.OFF_BODY: "it has no electrodes that tell whether they are on",
+        FaultKind.OFF_BODY: "its electrodes do not report contact",
     },
 )
 

@@ -62,7 +62,7 @@ EXPECTED = Expected(
         FaultKind.DENY: "one command starts all of its channels",
         FaultKind.REPEAT: NO_INTERVALS,
         Untidiness.RATE: TELLS_ITS_RATE,
-        Untidiness.STRAY: "an answer to nobody is one of garbage",
+        Untidiness.STRAY: "an answer to no question counts as garbage",
     },
 )
 

@@ -283,7 +283,7 @@ class RecordedZephyr(BioHarness):
             - BioHarness.effects.keys()
             - USUALLY_IMPOSSIBLE.keys()
             - IMPOSSIBLE[BioHarness.link].keys(),
-            "it plays what a real device sent, of which nothing can be changed",
+            "it replays a real device's data, which cannot be changed",
         )
     )
     filled = MappingProxyType(

@@ -325,7 +325,7 @@ EXPECTED = Expected(
     by_agent=frozenset({"quality"}),
     # Packets have numbers and timestamps; after a restart, the measurement starts between two.
     impossible={
-        FaultKind.REPEAT: "the sign of an interval tells whether it is a new one",
+        FaultKind.REPEAT: "the sign of an interval shows whether it is new",
         Untidiness.RATE: ONE_RATE,
     },
     loss_tolerance=LossTolerance(over_restart={"ecg": 63, "breathing": 18, "acc": 20}),
