@@ -166,6 +166,14 @@ def test_what_cannot_be_recorded_is_said_and_nothing_is_written(
     assert list(tmp_path.rglob("*.xdf")) == []
 
 
+_KEEP_WHAT_THE_BAR_SAYS = """() => {
+    window.said = [];
+    const keep = () => window.said.push(document.querySelector(".bar").innerText);
+    new MutationObserver(keep).observe(
+        document.querySelector(".bar"), { subtree: true, childList: true, characterData: true });
+}"""
+
+
 def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
     server: Server, window: Callable[..., Page], harness: SteeredBioHarness, tmp_path: Path
 ) -> None:
@@ -185,6 +193,13 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
     expect(card.get_by_text(f"battery {DASH}")).to_be_visible()
     expect(card.get_by_text(f"lost {DASH}")).to_be_visible()
 
+    # Another window, where the recording is only a bar above the traces.
+    other = page.context.new_page()
+    other.goto(page.url)
+    other.locator('[data-device="zephyr/A"]').get_by_role("button").click()
+    expect(other.get_by_role("region", name="Current recording")).to_contain_text("not recording")
+    other.evaluate(_KEEP_WHAT_THE_BAR_SAYS)
+
     session = page.get_by_role("region", name="Recording")
     session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
     session.get_by_role("button", name="Record", exact=True).click()
@@ -194,6 +209,11 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
     note = session.get_by_role("list", name="Other problems")
     expect(note).to_contain_text("p01's Zephyr BioHarness 3 is paused since")
     expect(page).to_have_title(f"◐ recording, look at it {DASH} Biosensor Gateway")
+    expect(other.get_by_role("region", name="Current recording")).to_contain_text("is paused since")
+    said = other.evaluate("window.said")
+    opening = next(n for n, each in enumerate(said) if "Opening all streams" in each)
+    assert not any("not recording" in each for each in said[opening:])
+    other.close()
 
     bar = page.get_by_role("region", name="Current recording")
     toast = page.locator(".toast")
@@ -224,8 +244,9 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
     page.get_by_role("heading", level=1).click()
     page.keyboard.press("1")
     expect(toast).to_contain_text("agent")
-    card.scroll_into_view_if_needed()
-    bar.get_by_role("button", name="Stop the recording").click()
+    # Nothing is left to scroll to, and the panel is on the screen again.
+    expect(card).to_have_count(0)
+    session.get_by_role("button", name="Stop recording").click()
     verdict = session.locator(".verdict")
     expect(verdict).to_contain_text("zephyr/A of p01 was paused the whole time")
     # Neither a long state nor the verdict is wider than a narrow window.
@@ -273,9 +294,9 @@ def test_one_field_sets_the_sensors_and_the_file(
     page.get_by_role("button", name="Save").click()
     going_on = page.get_by_role("dialog", name="A recording is running")
     going_on.get_by_role("button", name="Go back").click()
-    page.get_by_role("button", name="Back to all devices").click()
 
-    session.get_by_role("button", name="Stop recording").click()
+    page.get_by_role("button", name="Stop the recording").click()
+    page.get_by_role("button", name="Back to all devices").click()
     expect(session.locator(".verdict")).to_be_visible()
     expect(session.get_by_text("but its sensors")).to_have_count(0)
     (file,) = (tmp_path / "recordings").rglob("*.xdf")

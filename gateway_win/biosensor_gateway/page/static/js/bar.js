@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { MarkerButtons } from "./markers.js";
 import { useOneAtATime } from "./one_at_a_time.js";
-import { COLOURS } from "./recording.js";
+import { COLOURS, OPENING } from "./recording.js";
 import { clock } from "./words.js";
 
 const NOTHING = ["○", "soft", "not recording"];
@@ -15,6 +15,8 @@ function standing(recording) {
     const [sign, tone, , words] = COLOURS[recording.colour] ?? COLOURS.red;
     return [sign, tone, words];
   }
+  // Not yet "recording", but no longer what came of the one before.
+  if (recording.busy) return ["◐", "soft", OPENING];
   if (!recording.file || verdict) return verdict ? [...(COLOURS[verdict.colour] ?? COLOURS.red).slice(0, 2), verdict.sentence] : NOTHING;
   return ENDED;
 }

@@ -14,6 +14,8 @@ export const COLOURS = {
   red: ["▲", "bad", "recording, but something is wrong", "recording, something is wrong"],
 };
 
+export const OPENING = "Opening all streams …";
+
 function Progress({ recording, children }) {
   const [sign, tone, word] = COLOURS[recording.colour] ?? COLOURS.red;
   return html`
@@ -45,6 +47,7 @@ function Running({ recording, act }) {
 // For who only looks on.
 export function State({ recording }) {
   if (recording.is_running) return html`<${Progress} recording=${recording} />`;
+  if (recording.busy) return html`<p>${OPENING}</p>`;
   if (recording.verdict) return html`<${Verdict} verdict=${recording.verdict} />`;
   return html`<p>not recording</p>`;
 }
@@ -117,7 +120,7 @@ function Begin({ status, act }) {
       ${box("session", "Session", fields.session, NAME)}
       ${box("task", "Task", fields.task, NAME)}
       ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, title: fields.folder || recording.folder, size: Math.max(34, recording.folder.length + 2) })}
-      <button class="main" data-clear disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
+      <button class="main" data-clear disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? OPENING : "Record"}</button>
       <label class="check"><input type="checkbox" checked=${fields.only_ours} onChange=${(event) => setFields({ only_ours: event.target.checked })} /> only these sensors, no streams of other programs</label>
       <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax({ isLax: event.target.checked })} /> even if streams are missing</label>
     </form>`;
