@@ -22,29 +22,16 @@ _SETTLE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class AgentLoad:
-    """One agent, every device, every stream.
-
-    Attributes
-    ----------
-    cpu_percent
-        Of one core: the agent's process alone, with bleak's stock Linux backend.
-    memory_mb
-        Resident, at the end.
-    p50_ms, p99_ms
-        From a packet's arrival at the transport to the end of its push into LSL.
-    pushes
-        How many were measured.
-    samples_a_second
-        Over all streams.
-    """
+    """One agent, every device, every stream."""
 
     seconds: float
-    cpu_percent: float
-    memory_mb: float
+    cpu_percent: float  # Of one core: the agent's process alone, with bleak's stock Linux backend.
+    memory_mb: float  # Resident, at the end.
+    # p50_ms, p99_ms: from a packet's arrival at the transport to the end of its push into LSL.
     p50_ms: float
     p99_ms: float
-    pushes: int
-    samples_a_second: float
+    pushes: int  # How many were measured.
+    samples_a_second: float  # Over all streams.
 
 
 @contextmanager

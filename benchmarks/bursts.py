@@ -31,18 +31,10 @@ class Queue(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where it runs.
+    """Where it runs."""
 
-    Attributes
-    ----------
-    pace
-        The node's ``burst_pacing``.
-    is_busy
-        Whether programs besides take half of each core.
-    """
-
-    pace: str = "0.5"
-    is_busy: bool = False
+    pace: str = "0.5"  # The node's `burst_pacing`.
+    is_busy: bool = False  # Whether programs besides take half of each core.
 
 
 _IN_PYTHON = ("tests.rigs.tutorial_subscriber",)
@@ -53,21 +45,13 @@ _QUIET, _BUSY, _AT_ONCE = Place(), Place(is_busy=True), Place(pace="0.0")
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """What one subscriber got.
-
-    Attributes
-    ----------
-    missing
-        Samples that the node got and the subscriber did not, by topic.
-    cpu_percent
-        Of one core, for the subscriber.
-    """
+    """What one subscriber got."""
 
     queue: Queue
     place: Place
     received: int
-    missing: dict[str, int]
-    cpu_percent: float
+    missing: dict[str, int]  # Samples that the node got and the subscriber did not, by topic.
+    cpu_percent: float  # Of one core, for the subscriber.
 
 
 def measure(effort: Effort) -> Measurement:

@@ -21,15 +21,10 @@ _LOST = Target(0)
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is sent, and what the node may take for it.
-
-    Attributes
-    ----------
-    block, per_process
-        See `Senders`.
-    """
+    """What is sent, and what the node may take for it."""
 
     streams: int
+    # block, per_process: see `Senders`.
     block: int
     per_process: int
     cpu: Target

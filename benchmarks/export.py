@@ -27,22 +27,13 @@ _MEMORY = Target(300)
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """One export of the recording, by a process of its own.
+    """One export of the recording, by a process of its own."""
 
-    Attributes
-    ----------
-    wall_s, cpu_s
-        From its start to its end.
-    peak_mb
-        The most memory that it held.
-    written_mb
-        What it wrote.
-    """
-
+    # wall_s, cpu_s: from its start to its end.
     wall_s: float
     cpu_s: float
-    peak_mb: float
-    written_mb: float
+    peak_mb: float  # The most memory that it held.
+    written_mb: float  # What it wrote.
 
 
 def measure(effort: Effort) -> Measurement:

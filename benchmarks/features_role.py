@@ -31,23 +31,13 @@ _FULL_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """What one topic's beats, and the samples that they were found in, took to arrive.
-
-    Attributes
-    ----------
-    topic
-    from_type
-        LSL type of the stream that the beats were found in.
-    beats_s
-        From each beat to its message in the callback of a subscriber.
-    samples_s
-        From each sample of the raw stream to its arrival by LSL: most of it the packet in which
-        the device keeps it back.
-    """
+    """What one topic's beats, and the samples that they were found in, took to arrive."""
 
     topic: str
-    from_type: str
-    beats_s: Sequence[float]
+    from_type: str  # LSL type of the stream that the beats were found in.
+    beats_s: Sequence[float]  # From each beat to its message in the callback of a subscriber.
+    # From each sample of the raw stream to its arrival by LSL: most of it the packet in which the
+    # device keeps it back.
     samples_s: Sequence[float]
 
 

@@ -42,14 +42,9 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Figures that belong together.
-
-    Attributes
-    ----------
-    details
-        What the figures were made of, ready for JSON.
-    """
+    """Figures that belong together."""
 
     title: str
     figures: Sequence[Figure]
+    # What the figures were made of, ready for JSON.
     details: Mapping[str, Any] = field(default_factory=dict[str, Any])

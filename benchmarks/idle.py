@@ -24,21 +24,11 @@ _LEAST_DRAINED = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One round, with the node or without.
+    """One round, with the node or without."""
 
-    Attributes
-    ----------
-    cpu_percent
-        Of one core, of the receiving process: the node, or pylsl alone.
-    sender_cpu_percent
-        Of the busiest.
-    late_p99_ms
-        How long after its due time a sample was pushed.
-    """
-
-    cpu_percent: float
-    sender_cpu_percent: float
-    late_p99_ms: float
+    cpu_percent: float  # Of one core, of the receiving process: the node, or pylsl alone.
+    sender_cpu_percent: float  # Of the busiest.
+    late_p99_ms: float  # How long after its due time a sample was pushed.
 
 
 def measure(effort: Effort) -> Measurement:

@@ -24,32 +24,17 @@ _SYNCHRONOUS = 4
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """What one process sends.
+    """What one process sends."""
 
-    Attributes
-    ----------
-    names
-        Of the streams.
-    source_id
-        Of the only stream; None: each stream's is its name.
-    offset_s
-        Delay of the first stream within a period.
-    filler
-        What is in channel 0 while no sample counts.
-    frugal
-        Whether all streams are sent at once and without a thread for each, which costs
-        a quarter of the CPU. The receiver sees the same packets.
-    block
-        Samples that are pushed at once, as a radio brings them, when the last is due.
-    """
-
-    names: Sequence[str]
+    names: Sequence[str]  # Of the streams.
     rate_hz: float = RATE_HZ
-    source_id: str | None = None
-    offset_s: float = 0.0
-    filler: float = FILLER
+    source_id: str | None = None  # Of the only stream; None: each stream's is its name.
+    offset_s: float = 0.0  # Delay of the first stream within a period.
+    filler: float = FILLER  # What is in channel 0 while no sample counts.
+    # Whether all streams are sent at once and without a thread for each, which costs a quarter of
+    # the CPU. The receiver sees the same packets.
     frugal: bool = False
-    block: int = 1
+    block: int = 1  # Samples that are pushed at once, as a radio brings them, when the last is due.
 
     def as_arguments(self) -> list[str]:
         """Return the arguments that start the process."""

@@ -26,23 +26,13 @@ _SUBSCRIBERS = 2
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One round with so many streams.
-
-    Attributes
-    ----------
-    cpu_s
-        CPU time of the node.
-    seconds
-        From the first sample to the last.
-    late_p99_ms
-        How long after its due time a sample was pushed.
-    """
+    """One round with so many streams."""
 
     passage: Passage
-    cpu_s: float
-    seconds: float
+    cpu_s: float  # CPU time of the node.
+    seconds: float  # From the first sample to the last.
     memory_mb: float
-    late_p99_ms: float
+    late_p99_ms: float  # How long after its due time a sample was pushed.
 
     @property
     def us_a_sample(self) -> float:

@@ -26,15 +26,10 @@ _RATIO, _P99_MS = Target(1.25), Target(5.0)
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One round of one way.
-
-    Attributes
-    ----------
-    node_cpu_percent
-        Of one core, for the node's process; None for a way without it.
-    """
+    """One round of one way."""
 
     passage: Passage
+    # Of one core, for the node's process; None for a way without it.
     node_cpu_percent: float | None
 
 

@@ -32,32 +32,22 @@ _WORSE, _CPU, _PICTURES, _UP_S = Target(1.1), Target(6.0), Target(20.0, at_least
 
 @dataclass(frozen=True, slots=True)
 class PageRound:
-    """The agent without the page, then with it.
+    """The agent without the page, then with it."""
 
-    Attributes
-    ----------
-    without_ms, with_ms, undrawn_ms
-        p99 from a packet's arrival to the end of its push into LSL; the last with a reader that
-        gets what the browser gets and draws nothing, as where a browser has a processor of its
-        own to draw with.
-    up_s, usable_s
-        From the command to a server that answers, and from there to the cards of all devices.
-    server_percent
-        Processor time of the page's server, of one core, while a browser shows the cards.
-    server_mb
-        Resident, at the end.
-    pictures_hz
-        That the browser has drawn.
-    """
-
+    # without_ms, with_ms, undrawn_ms: p99 from a packet's arrival to the end of its push into LSL;
+    # the last with a reader that gets what the browser gets and draws nothing, as where a browser
+    # has a processor of its own to draw with.
     without_ms: float
     with_ms: float
     undrawn_ms: float
+    # up_s, usable_s: from the command to a server that answers, and from there to the cards of all
+    # devices.
     up_s: float
     usable_s: float
+    # Processor time of the page's server, of one core, while a browser shows the cards.
     server_percent: float
-    server_mb: float
-    pictures_hz: float
+    server_mb: float  # Resident, at the end.
+    pictures_hz: float  # That the browser has drawn.
 
 
 def measure(effort: Effort) -> Measurement:

@@ -22,16 +22,10 @@ _PIECE_SIZE = 125
 
 @dataclass(frozen=True, slots=True)
 class ParserSpeed:
-    """Speed on one recording, as multiples of real time.
-
-    Attributes
-    ----------
-    recorded_s
-        Time that the recording's ECG covers; a gap does not count.
-    """
+    """Speed on one recording, as multiples of real time."""
 
     recording: str
-    recorded_s: float
+    recorded_s: float  # Time that the recording's ECG covers; a gap does not count.
     best: float
     median: float
 

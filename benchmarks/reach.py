@@ -32,20 +32,12 @@ _IN_DEBIAN = "python{0},python{0}-venv,ca-certificates"
 
 
 class Place(NamedTuple):
-    """Where a wheel is installed.
-
-    Attributes
-    ----------
-    inside
-        The command that runs another one there.
-    root
-        Its root folder, seen from here.
-    """
+    """Where a wheel is installed."""
 
     system: str
     python: str
-    inside: Sequence[str] = ()
-    root: Path = Path("/")
+    inside: Sequence[str] = ()  # The command that runs another one there.
+    root: Path = Path("/")  # Its root folder, seen from here.
 
 
 class Took(NamedTuple):

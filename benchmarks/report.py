@@ -17,20 +17,12 @@ from benchmarks.figures import Figure, Measurement
 
 @dataclass(frozen=True, slots=True)
 class BenchRun:
-    """All that one run measured.
-
-    Attributes
-    ----------
-    measurements
-        By name, in the order of time.
-    load
-        Load average at start and end.
-    """
+    """All that one run measured."""
 
     machine: Mapping[str, str]
-    load: tuple[float, float]
+    load: tuple[float, float]  # Load average at start and end.
     seconds: float
-    measurements: Mapping[str, Measurement]
+    measurements: Mapping[str, Measurement]  # By name, in the order of time.
 
 
 def write(run: BenchRun, file: Path) -> None:

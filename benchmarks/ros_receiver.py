@@ -23,26 +23,14 @@ from benchmarks.wire import ArrayReader
 
 @dataclass(frozen=True, slots=True)
 class Subscription:
-    """What one process subscribes to.
-
-    Attributes
-    ----------
-    count
-        Numbered samples that come on each topic.
-    file
-        Where the times of arrival go, shape [topics, count].
-    usual
-        Whether as most programs do it: deserialised, by the usual executor. Else for
-        little CPU.
-    chunks
-        Whether a message has many samples; not with *usual*.
-    """
+    """What one process subscribes to."""
 
     topics: Sequence[str]
-    count: int
-    file: str
+    count: int  # Numbered samples that come on each topic.
+    file: str  # Where the times of arrival go, shape [topics, count].
+    # Whether as most programs do it: deserialised, by the usual executor. Else for little CPU.
     usual: bool = False
-    chunks: bool = False
+    chunks: bool = False  # Whether a message has many samples; not with *usual*.
 
     def as_arguments(self) -> list[str]:
         """Return the arguments that start the process."""

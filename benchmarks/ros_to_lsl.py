@@ -20,23 +20,15 @@ _STREAMING_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One round.
+    """One round."""
 
-    Attributes
-    ----------
-    cpu_percent
-        Of one core, of the node's process.
-    taken_p99_ms, arrived_p50_ms, arrived_p99_ms
-        To the end of the push, from when the node has taken a message, and from when DDS has
-        received it.
-    published, pushed
-        Messages in the same time.
-    """
-
-    cpu_percent: float
+    cpu_percent: float  # Of one core, of the node's process.
+    # taken_p99_ms, arrived_p50_ms, arrived_p99_ms: to the end of the push, from when the node has
+    # taken a message, and from when DDS has received it.
     taken_p99_ms: float
     arrived_p50_ms: float
     arrived_p99_ms: float
+    # published, pushed: messages in the same time.
     published: int
     pushed: int
 

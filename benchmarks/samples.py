@@ -88,24 +88,18 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """What became of the samples of one round.
+    """What became of the samples of one round."""
 
-    Attributes
-    ----------
-    p50_ms, p99_ms, worst_ms
-        Latency from just before the sender's call to the receiver's first statement.
-    sent, lost, repeated
-        Samples.
-    gaps
-        What was lost: stream, first number, how many; the first of them.
-    """
-
+    # p50_ms, p99_ms, worst_ms: latency from just before the sender's call to the receiver's first
+    # statement.
     p50_ms: float
     p99_ms: float
     worst_ms: float
+    # sent, lost, repeated: samples.
     sent: int
     lost: int
     repeated: int
+    # What was lost: stream, first number, how many; the first of them.
     gaps: Sequence[tuple[int, int, int]]
 
 

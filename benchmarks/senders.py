@@ -21,22 +21,13 @@ _PATIENCE_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """What the senders did in one round.
+    """What the senders did in one round."""
 
-    Attributes
-    ----------
-    times
-        Of sending, shape [streams, count].
-    late_p50_ms, late_p99_ms
-        How long after its due time a sample was pushed.
-    cpu_percent
-        Of one core, the busiest process.
-    """
-
-    times: NDArray[np.float64]
+    times: NDArray[np.float64]  # Of sending, shape [streams, count].
+    # late_p50_ms, late_p99_ms: how long after its due time a sample was pushed.
     late_p50_ms: float
     late_p99_ms: float
-    cpu_percent: float
+    cpu_percent: float  # Of one core, the busiest process.
 
 
 class Senders:

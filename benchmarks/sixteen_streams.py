@@ -27,22 +27,15 @@ _SUBSCRIBERS = 2
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One round, with the node or without.
-
-    Attributes
-    ----------
-    cpu_percent
-        Of one core, of the receiving process: the node, or pylsl alone.
-    sender_cpu_percent, subscriber_cpu_percent
-        Of the busiest of each; no subscriber without the node.
-    late_p50_ms, late_p99_ms
-        How long after its due time a sample was pushed.
-    """
+    """One round, with the node or without."""
 
     passage: Passage
-    cpu_percent: float
+    cpu_percent: float  # Of one core, of the receiving process: the node, or pylsl alone.
+    # sender_cpu_percent, subscriber_cpu_percent: of the busiest of each; no subscriber without the
+    # node.
     sender_cpu_percent: float
     subscriber_cpu_percent: float | None
+    # late_p50_ms, late_p99_ms: how long after its due time a sample was pushed.
     late_p50_ms: float
     late_p99_ms: float
 

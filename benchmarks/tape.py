@@ -13,20 +13,12 @@ from unittest.mock import patch
 
 @dataclass(frozen=True, slots=True)
 class Taped:
-    """What is taped of a sensor's driver; places are ``module:name``.
+    """What is taped of a sensor's driver; places are ``module:name``."""
 
-    Attributes
-    ----------
-    functions
-        Functions of the decoder, in the modules that call them.
-    decoder
-        Class of the decoder, if it has one.
-    methods, attributes
-        Its methods that are called, and its attributes that are set, from outside.
-    """
-
-    functions: Sequence[str] = ()
-    decoder: str = ""
+    functions: Sequence[str] = ()  # Functions of the decoder, in the modules that call them.
+    decoder: str = ""  # Class of the decoder, if it has one.
+    # methods, attributes: its methods that are called, and its attributes that are set, from
+    # outside.
     methods: Sequence[str] = ()
     attributes: Sequence[str] = ()
 

@@ -18,24 +18,13 @@ STAMP = ".fingerprint"
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One step of the build.
+    """One step of the build."""
 
-    Attributes
-    ----------
-    name
-        Also the name of its folder.
-    make
-        Fills the folder, which is empty then.
-    inputs
-        Files and folders that it reads, besides what earlier stages made.
-    after
-        Earlier stages that it builds on.
-    """
-
-    name: str
-    make: Callable[[Path], None]
+    name: str  # Also the name of its folder.
+    make: Callable[[Path], None]  # Fills the folder, which is empty then.
+    # Files and folders that it reads, besides what earlier stages made.
     inputs: tuple[Path, ...] = ()
-    after: tuple[Stage, ...] = ()
+    after: tuple[Stage, ...] = ()  # Earlier stages that it builds on.
 
 
 class Build:

@@ -28,17 +28,11 @@ _KNOWN_KINDS = b"bdzZMmsxol"
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """What a frozen program holds.
+    """What a frozen program holds."""
 
-    Attributes
-    ----------
-    scripts
-        Names of the scripts that it runs one after the other, without ``.py``.
-    modules
-        Dotted names of its modules and packages; none of namespace packages, which are no files.
-    """
-
+    # Names of the scripts that it runs one after the other, without `.py`.
     scripts: tuple[str, ...]
+    # Dotted names of its modules and packages; none of namespace packages, which are no files.
     modules: tuple[str, ...]
 
 

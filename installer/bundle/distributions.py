@@ -20,23 +20,12 @@ _INDEX = "Python Package Index"
 
 @dataclass(frozen=True)
 class Distribution:
-    """An installed distribution.
+    """An installed distribution."""
 
-    Attributes
-    ----------
-    folder
-        Where it is installed; the paths of its record are below this.
-    info
-        Name of its ``dist-info`` folder.
-    metadata
-        Its ``METADATA``.
-    record
-        Path, with ``/``, to SHA-256 (hex) of each of its files; None where none is recorded.
-    """
-
-    folder: Path
-    info: str
-    metadata: Message[str, str]
+    folder: Path  # Where it is installed; the paths of its record are below this.
+    info: str  # Name of its `dist-info` folder.
+    metadata: Message[str, str]  # Its `METADATA`.
+    # Path, with `/`, to SHA-256 (hex) of each of its files; None where none is recorded.
     record: Mapping[str, str | None]
 
     @cached_property

@@ -77,25 +77,15 @@ FURTHER_TEXTS = {
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A component inside another's binaries that no metadata names.
-
-    Attributes
-    ----------
-    of
-        The component that brings it.
-    files
-        Patterns for the names of the files that it is in.
-    whole
-        Whether those files are this part, rather than hold it among other things.
-    version
-        Finds its version in those files; None where only a version resource may say it.
-    """
+    """A component inside another's binaries that no metadata names."""
 
     name: str
-    of: str
+    of: str  # The component that brings it.
     licence: str
-    files: tuple[str, ...]
+    files: tuple[str, ...]  # Patterns for the names of the files that it is in.
+    # Whether those files are this part, rather than hold it among other things.
     whole: bool = False
+    # Finds its version in those files; None where only a version resource may say it.
     version: re.Pattern[bytes] | None = None
 
 

@@ -15,57 +15,30 @@ class BundledFile:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A licence text or notice.
+    """A licence text or notice."""
 
-    Attributes
-    ----------
-    path
-        Below ``licenses/``, with ``/``.
-    content
-        As it was shipped.
-    """
-
-    path: str
-    content: bytes
+    path: str  # Below `licenses/`, with `/`.
+    content: bytes  # As it was shipped.
 
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """Something that has a licence of its own.
+    """Something that has a licence of its own."""
 
-    Attributes
-    ----------
-    name, version, purl
-        Version and package URL are None where nothing says them.
-    licence
-        SPDX expression.
-    files
-        Those of its files that are in the bundle.
-    modules
-        Dotted names of its modules inside the program or ``base_library.zip``.
-    texts
-        Its licence texts.
-    parts
-        Components inside its files.
-    needs
-        Names of components that it depends on, as far as they are in the bundle.
-    note
-        One sentence on its licence, where that needs one.
-    supplier
-        Whom it is from; empty where nothing says it.
-    """
-
+    # name, version, purl: version and package URL are None where nothing says them.
     name: str
     version: str | None
     purl: str | None
-    licence: str
-    files: tuple[BundledFile, ...] = ()
+    licence: str  # SPDX expression.
+    files: tuple[BundledFile, ...] = ()  # Those of its files that are in the bundle.
+    # Dotted names of its modules inside the program or `base_library.zip`.
     modules: tuple[str, ...] = ()
-    texts: tuple[Text, ...] = ()
-    parts: tuple[Component, ...] = ()
+    texts: tuple[Text, ...] = ()  # Its licence texts.
+    parts: tuple[Component, ...] = ()  # Components inside its files.
+    # Names of components that it depends on, as far as they are in the bundle.
     needs: tuple[str, ...] = ()
-    note: str = ""
-    supplier: str = ""
+    note: str = ""  # One sentence on its licence, where that needs one.
+    supplier: str = ""  # Whom it is from; empty where nothing says it.
 
 
 @dataclass(slots=True)

@@ -31,21 +31,12 @@ class WineError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Prefix:
-    """One virtual Windows.
+    """One virtual Windows."""
 
-    Attributes
-    ----------
-    folder
-        ``WINEPREFIX``.
-    environment
-        More variables for all its programs.
-    before
-        Words before each command, which lead to where it is to run.
-    """
-
-    folder: Path
+    folder: Path  # `WINEPREFIX`.
+    # More variables for all its programs.
     environment: Mapping[str, str] = field(default_factory=dict[str, str])
-    before: tuple[str, ...] = ()
+    before: tuple[str, ...] = ()  # Words before each command, which lead to where it is to run.
 
     @property
     def variables(self) -> dict[str, str]:

@@ -48,19 +48,11 @@ SECONDS = 8.0
 
 
 class Kind(NamedTuple):
-    """A virtual device on a link of its kind.
-
-    Attributes
-    ----------
-    stream
-        One that it has.
-    secrets
-        What must not be in the file.
-    """
+    """A virtual device on a link of its kind."""
 
     make: Callable[[World], VirtualDevice]
-    stream: str
-    secrets: Sequence[str] = ()
+    stream: str  # One that it has.
+    secrets: Sequence[str] = ()  # What must not be in the file.
 
 
 KINDS = {

@@ -28,30 +28,18 @@ _OF_THE_DEVICE = frozenset({ContentType.BATTERY, ContentType.RSSI})
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a sensor's page says for the catalogue; all are sentences or clauses.
+    """What a sensor's page says for the catalogue; all are sentences or clauses."""
 
-    Attributes
-    ----------
-    title
-        What people call the device.
-    way, systems
-        How it comes to the agent, and on which operating systems.
-    vectors, peer, recording
-        What driver and virtual device were verified against.
-    traps
-        What surprises those who use it.
-    firmware
-        The last one that the sources speak of; empty for none.
-    """
-
-    title: str
+    title: str  # What people call the device.
+    # way, systems: how it comes to the agent, and on which operating systems.
     way: str
     systems: str
+    # vectors, peer, recording: what driver and virtual device were verified against.
     vectors: str
     peer: str
     recording: str
-    traps: str
-    firmware: str
+    traps: str  # What surprises those who use it.
+    firmware: str  # The last one that the sources speak of; empty for none.
 
 
 def facts(name: str) -> Facts:

@@ -31,19 +31,11 @@ class Part:
 
     In YAML, ``# NAME:begin`` and ``# NAME:end``.
     Without a name it is the whole file.
-
-    Attributes
-    ----------
-    document
-        Path below the root of the repository.
-    name
-    make
-        Returns the present text.
     """
 
-    document: str
+    document: str  # Path below the root of the repository.
     name: str
-    make: Callable[[], str]
+    make: Callable[[], str]  # Returns the present text.
 
 
 def decisions() -> str:

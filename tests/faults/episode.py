@@ -44,53 +44,30 @@ class Stock(NamedTuple):
 
 
 class Account(NamedTuple):
-    """The books of one regular stream.
+    """The books of one regular stream."""
 
-    Attributes
-    ----------
-    missing
-        Samples that there was room for between those that arrived.
-    unread
-        Those of them that the device is known to have sent.
-    lost
-        What the agent counted as lost.
-    """
-
-    missing: int
-    unread: int
-    lost: int
+    missing: int  # Samples that there was room for between those that arrived.
+    unread: int  # Those of them that the device is known to have sent.
+    lost: int  # What the agent counted as lost.
 
 
 @dataclass
 class Episode:
-    """Some faults at once, on all devices that can have them.
+    """Some faults at once, on all devices that can have them."""
 
-    Attributes
-    ----------
-    kinds, begin_s
-        Which, and since when on the LSL clock.
-    end_s
-        When it ended for each cell; of those without an end, when it had begun.
-    before, after
-        By sensor.
-    log
-        What the agent logged meanwhile.
-    seen
-        Cells that the agent has noticed.
-    recovered_s
-        By cell, how long after the end the device was as before.
-    received, truth
-        By sensor and data name, from ``before`` on.
-    """
-
+    # kinds, begin_s: which, and since when on the LSL clock.
     kinds: tuple[Kind, ...]
     begin_s: float
+    # before, after: by sensor.
     before: Mapping[str, Stock]
     after: dict[str, Stock] = field(default_factory=dict[str, Stock])
+    # When it ended for each cell; of those without an end, when it had begun.
     end_s: dict[Cell, float] = field(default_factory=dict[Cell, float])
-    log: Sequence[Mapping[str, Any]] = ()
-    seen: set[Cell] = field(default_factory=set[Cell])
+    log: Sequence[Mapping[str, Any]] = ()  # What the agent logged meanwhile.
+    seen: set[Cell] = field(default_factory=set[Cell])  # Cells that the agent has noticed.
+    # By cell, how long after the end the device was as before.
     recovered_s: dict[Cell, float] = field(default_factory=dict[Cell, float])
+    # received, truth: by sensor and data name, from `before` on.
     received: dict[tuple[str, str], Recorded] = field(
         default_factory=dict[tuple[str, str], Recorded]
     )

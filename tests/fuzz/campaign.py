@@ -26,28 +26,14 @@ _LONGEST_REASON = 300
 
 
 class Outcome(NamedTuple):
-    """What became of one target.
-
-    Attributes
-    ----------
-    seconds
-        From start to end of its process.
-    executed
-        Inputs that were tried.
-    covered
-        Places of the code that were reached; None without coverage.
-    find
-        The input that broke the contract, None if there is none.
-    reason
-        Why it is a find, or why the target could not be tried; empty if all is well.
-    """
+    """What became of one target."""
 
     name: str
-    seconds: float
-    executed: int
-    covered: int | None
-    find: Path | None
-    reason: str
+    seconds: float  # From start to end of its process.
+    executed: int  # Inputs that were tried.
+    covered: int | None  # Places of the code that were reached; None without coverage.
+    find: Path | None  # The input that broke the contract, None if there is none.
+    reason: str  # Why it is a find, or why the target could not be tried; empty if all is well.
 
     @property
     def is_good(self) -> bool:

@@ -33,17 +33,11 @@ class BrokenContractError(AssertionError):
 
 
 class Target(NamedTuple):
-    """A reader under test.
-
-    Attributes
-    ----------
-    name
-    check
-        Takes any bytes and returns. Whatever it raises is a find: it lets through no
-        error but those that the reader's documentation names.
-    """
+    """A reader under test."""
 
     name: str
+    # Takes any bytes and returns. Whatever it raises is a find: it lets through no error but those
+    # that the reader's documentation names.
     check: Callable[[bytes], None]
 
 

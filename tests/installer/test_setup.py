@@ -223,17 +223,10 @@ class ShortcutError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Shortcut:
-    """What a shortcut opens.
+    """What a shortcut opens."""
 
-    Attributes
-    ----------
-    target
-        The program, in the code page of the PC; empty if it is only told as an ID list.
-    arguments, working_folder, icon
-        As they are written; empty where absent.
-    """
-
-    target: str
+    target: str  # The program, in the code page of the PC; empty if it is only told as an ID list.
+    # arguments, working_folder, icon: as they are written; empty where absent.
     arguments: str = ""
     working_folder: str = ""
     icon: str = ""

@@ -29,24 +29,16 @@ class Failure:
 
 @dataclass
 class Result:
-    """What came of a part on one version of the project.
-
-    Attributes
-    ----------
-    missing
-        What the part needs and this computer does not have; then nothing was run.
-    tests
-        How many passed or failed.
-    skipped
-        How many tests were skipped, by reason.
-    """
+    """What came of a part on one version of the project."""
 
     part: str
     began: str
     seconds: float = 0.0
+    # What the part needs and this computer does not have; then nothing was run.
     missing: list[str] = field(default_factory=list[str])
-    tests: int = 0
+    tests: int = 0  # How many passed or failed.
     failures: list[Failure] = field(default_factory=list[Failure])
+    # How many tests were skipped, by reason.
     skipped: dict[str, int] = field(default_factory=dict[str, int])
     system: str = field(default_factory=_system)
     python: str = field(default_factory=platform.python_version)

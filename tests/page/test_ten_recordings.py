@@ -71,27 +71,19 @@ _load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("An
 
 
 class Session(NamedTuple):
-    """One recording: who wore the sensors, its file, when it ran, and what was said of it.
-
-    Attributes
-    ----------
-    begun, ended
-        From when on the page said that it records all streams, until when it did; LSL times in s.
-    away
-        From when to when a part of it may be missing, by LSL's clock; empty if none may.
-    marked
-        What the experiment marked, with its own time and the answer that it got.
-    verdict
-        As the server has it; the page's words are compared with it.
-    """
+    """One recording: who wore the sensors, its file, when it ran, and what was said of it."""
 
     participant: str
     file: Path
+    # begun, ended: from when on the page said that it records all streams, until when it did; LSL
+    # times in s.
     begun: float
     ended: float
+    # From when to when a part of it may be missing, by LSL's clock; empty if none may.
     away: tuple[tuple[str, float, float], ...]
+    # What the experiment marked, with its own time and the answer that it got.
     marked: tuple[tuple[float, dict[str, Any]], ...]
-    verdict: Mapping[str, Any]
+    verdict: Mapping[str, Any]  # As the server has it; the page's words are compared with it.
 
 
 class Study:

@@ -61,25 +61,16 @@ def uniform_100_ms_in_order(rng: random.Random, ready: Sequence[float]) -> list[
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Errors of the stamps that one device's samples got.
+    """Errors of the stamps that one device's samples got."""
 
-    Attributes
-    ----------
-    stamp_rms_ms
-        Without the mean, which is the constant part of the delay.
-    mean_error_ms, error_rms_ms, largest_error_ms
-        With nothing taken away; the mean has a sign, positive is late.
-    sample_spacing_rms_ms
-        Of successive samples of a signal with about 128 a second.
-    packet_spacing_rms_ms
-        The same of the packets' last samples: a signal with one sample a packet.
-    """
-
-    stamp_rms_ms: float
+    stamp_rms_ms: float  # Without the mean, which is the constant part of the delay.
+    # mean_error_ms, error_rms_ms, largest_error_ms: with nothing taken away; the mean has a sign,
+    # positive is late.
     mean_error_ms: float
     error_rms_ms: float
     largest_error_ms: float
-    sample_spacing_rms_ms: float
+    sample_spacing_rms_ms: float  # Of successive samples of a signal with about 128 a second.
+    # The same of the packets' last samples: a signal with one sample a packet.
     packet_spacing_rms_ms: float
 
 

@@ -18,20 +18,14 @@ _OURS = "biosensor_msgs/msg/"
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """All messages of one stamped topic, taken apart into samples.
-
-    Attributes
-    ----------
-    sequences, arrivals_ns
-        For each sample its number, and the system time at which its message came.
-    frame_ids
-        All that were in its messages.
-    """
+    """All messages of one stamped topic, taken apart into samples."""
 
     track: Track
+    # sequences, arrivals_ns: for each sample its number, and the system time at which its message
+    # came.
     sequences: NDArray[np.uint64]
     arrivals_ns: Times
-    frame_ids: frozenset[str]
+    frame_ids: frozenset[str]  # All that were in its messages.
 
 
 class _Collector:

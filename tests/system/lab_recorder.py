@@ -26,15 +26,10 @@ def recording(path: Path, source_ids: Iterable[str]) -> LabRecorder:
 
 @dataclass(frozen=True)
 class RecordedStream:
-    """One stream of an XDF file.
-
-    Attributes
-    ----------
-    clock_offsets
-        LabRecorder's measurements of the sender's clock against its own, in seconds.
-    """
+    """One stream of an XDF file."""
 
     track: Track
+    # LabRecorder's measurements of the sender's clock against its own, in seconds.
     clock_offsets: tuple[float, ...]
 
 

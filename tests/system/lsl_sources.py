@@ -27,22 +27,14 @@ BUTTON_RATE_HZ = 1.3
 
 
 class Spec(NamedTuple):
-    """A stream of another program.
-
-    Attributes
-    ----------
-    rate
-        In Hz; of an irregular stream the mean one.
-    piece
-        Samples that are pushed together, each with a stamp of its own.
-    """
+    """A stream of another program."""
 
     name: str
     content_type: str
     format: str
     channels: int
-    rate: float
-    piece: int = 1
+    rate: float  # In Hz; of an irregular stream the mean one.
+    piece: int = 1  # Samples that are pushed together, each with a stamp of its own.
     is_regular: bool = True
 
     @property

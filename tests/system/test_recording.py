@@ -272,26 +272,17 @@ NOT_IN_XDF = tuple(spec for spec in lsl_sources.SPECS if spec.format == "int64")
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """What was recorded.
+    """What was recorded."""
 
-    Attributes
-    ----------
-    bag, xdf
-        The two files.
-    topics, streams
-        By the name of the stamped topic: what the bag has, and what LabRecorder has.
-    pushed
-        All that the test itself has pushed of the streams that LabRecorder drops.
-    both_ns
-        System times between which both recorded for certain.
-    """
-
+    # bag, xdf: the two files.
     bag: Path
     xdf: Path
+    # topics, streams: by the name of the stamped topic: what the bag has, and what LabRecorder has.
     topics: Mapping[str, RecordedTopic]
     streams: Mapping[str, RecordedStream]
+    # All that the test itself has pushed of the streams that LabRecorder drops.
     pushed: Mapping[str, Track]
-    both_ns: tuple[int, int]
+    both_ns: tuple[int, int]  # System times between which both recorded for certain.
 
 
 def declared() -> dict[str, StreamSpec]:

@@ -20,21 +20,13 @@ _SAME_TIME_NS = 10_000_000
 
 @dataclass(frozen=True)
 class Track:
-    """Samples of one stream, in the order of recording.
+    """Samples of one stream, in the order of recording."""
 
-    Attributes
-    ----------
-    times_ns
-        When each was measured, as system time.
-    values
-        Shape [samples, channels]: int64 for a stream of 64-bit integers, ``str`` objects
-        for text, float64 for all others.
-    labels, units
-        One a channel; empty for text.
-    """
-
-    times_ns: Times
+    times_ns: Times  # When each was measured, as system time.
+    # Shape [samples, channels]: int64 for a stream of 64-bit integers, `str` objects for text,
+    # float64 for all others.
     values: NDArray[Any]
+    # labels, units: one a channel; empty for text.
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
 
@@ -101,17 +93,11 @@ def system_minus_lsl_ns() -> int:
 
 
 class Sample(NamedTuple):
-    """A sample as it was received.
-
-    Attributes
-    ----------
-    values
-        One a channel; of an event its text alone.
-    """
+    """A sample as it was received."""
 
     sequence: int
     time_ns: int
-    values: tuple[Any, ...]
+    values: tuple[Any, ...]  # One a channel; of an event its text alone.
 
 
 def samples_of(messages: Iterable[Mapping[str, Any]]) -> list[Sample]:

@@ -22,15 +22,11 @@ Rows = NDArray[np.int64]
 
 
 class Hole(NamedTuple):
-    """Samples of a reference, one after the other, that were not observed.
-
-    Attributes
-    ----------
-    begin_s, end_s
-        Times of the last before them and the first after them in the reference (Unix time).
-    """
+    """Samples of a reference, one after the other, that were not observed."""
 
     missing: int
+    # begin_s, end_s: times of the last before them and the first after them in the reference (Unix
+    # time).
     begin_s: float
     end_s: float
 

@@ -29,21 +29,11 @@ class DrainedRecorder(Recorder):
 
 @dataclass
 class TruthLedger:
-    """Compares what was received with what the device has sent.
+    """Compares what was received with what the device has sent."""
 
-    Attributes
-    ----------
-    received
-        Samples found in the truth, in its order, each once.
-    lost
-        Samples of the truth between them that were not received.
-    settled_s
-        When the newest of them was measured (LSL clock).
-    """
-
-    received: int = 0
-    lost: int = 0
-    settled_s: float = -np.inf
+    received: int = 0  # Samples found in the truth, in its order, each once.
+    lost: int = 0  # Samples of the truth between them that were not received.
+    settled_s: float = -np.inf  # When the newest of them was measured (LSL clock).
 
     def settle(self, came: Recorded, truth: Samples) -> None:
         """Find what came in a truth that has at least all that was sent since the last call.
@@ -81,22 +71,13 @@ class TruthLedger:
 
 @dataclass
 class CounterLedger:
-    """Compares what was received with what the agent says that it has pushed.
+    """Compares what was received with what the agent says that it has pushed."""
 
-    Attributes
-    ----------
-    pushed, last_stamp
-        What the agent said last.
-    pending
-        Stamps of what came and may be newer.
-    difference
-        Received less pushed, over all settlements.
-    """
-
+    # pushed, last_stamp: what the agent said last.
     pushed: int
     last_stamp: float
-    pending: Floats
-    difference: int = 0
+    pending: Floats  # Stamps of what came and may be newer.
+    difference: int = 0  # Received less pushed, over all settlements.
 
     def settle(self, came: Recorded, pushed: int, last_stamp: float) -> None:
         """Count what came up to the agent's newest sample; later ones wait for the next call."""

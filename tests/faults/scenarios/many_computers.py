@@ -70,17 +70,11 @@ class Stream(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Unix times.
+    """Unix times."""
 
-    Attributes
-    ----------
-    calm
-        Before anything happened; after cut and kill of an agent; after the kill of a node.
-    cut, agent_dead, node_dead
-        From the fault to the time at which all was back.
-    """
-
+    # Before anything happened; after cut and kill of an agent; after the kill of a node.
     calm: tuple[Span, Span, Span]
+    # cut, agent_dead, node_dead: from the fault to the time at which all was back.
     cut: Span
     agent_dead: Span
     node_dead: Span

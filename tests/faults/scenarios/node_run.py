@@ -58,29 +58,18 @@ class Restart(NamedTuple):
 
 
 class NodeRun(NamedTuple):
-    """What was observed.
-
-    Attributes
-    ----------
-    regular
-        Topic by source_id of every stream that has a rate.
-    losses
-        By topic, what is wrong with what came before the kill; see `completeness`.
-    stalled, slow
-        Unix times of the first two faults.
-    slow_ecg
-        What the slow subscriber got.
-    memory_mb
-        Of the node: before the faults, after the first, after both.
-    """
+    """What was observed."""
 
     observation: Observation
-    regular: Mapping[str, str]
+    regular: Mapping[str, str]  # Topic by source_id of every stream that has a rate.
+    # By topic, what is wrong with what came before the kill; see `completeness`.
     losses: Mapping[str, str]
+    # stalled, slow: Unix times of the first two faults.
     stalled: Span
     slow: Span
     restart: Restart
-    slow_ecg: Recording
+    slow_ecg: Recording  # What the slow subscriber got.
+    # Of the node: before the faults, after the first, after both.
     memory_mb: tuple[float, float, float]
 
 

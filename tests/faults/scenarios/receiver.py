@@ -22,18 +22,10 @@ _POLL_S = 0.1
 
 
 class Received(NamedTuple):
-    """What a receiver has met and got.
+    """What a receiver has met and got."""
 
-    Attributes
-    ----------
-    names
-        LSL name of each outlet, by its uid.
-    recorded
-        Samples, by source_id.
-    """
-
-    names: dict[str, str]
-    recorded: dict[str, Recorded]
+    names: dict[str, str]  # LSL name of each outlet, by its uid.
+    recorded: dict[str, Recorded]  # Samples, by source_id.
 
 
 def read(path: Path) -> Received:

@@ -72,28 +72,16 @@ class Errors(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """What came of it.
+    """What came of it."""
 
-    Attributes
-    ----------
-    received, truth
-        By sensor, one stream each.
-    jumps
-        LSL time of each jump of the BioHarness, and how often it was re-anchored once it was.
-    reanchors
-        Of the BioHarness when both clocks had turned.
-    status
-        Of the agent at the end, by sensor.
-    log
-        Everything that it said.
-    """
-
+    # received, truth: by sensor, one stream each.
     received: Mapping[str, Recorded]
     truth: Mapping[str, Samples]
+    # LSL time of each jump of the BioHarness, and how often it was re-anchored once it was.
     jumps: Sequence[tuple[float, int]]
-    reanchors: int
-    status: Mapping[str, Any]
-    log: Sequence[Mapping[str, Any]]
+    reanchors: int  # Of the BioHarness when both clocks had turned.
+    status: Mapping[str, Any]  # Of the agent at the end, by sensor.
+    log: Sequence[Mapping[str, Any]]  # Everything that it said.
 
     def errors_s(self, name: str) -> Errors:
         """Stamp minus true time, from the tenth second on."""

@@ -48,20 +48,14 @@ class Phase(NamedTuple):
 
 
 class Stepped(NamedTuple):
-    """What came of it.
-
-    Attributes
-    ----------
-    stamped, true_ns
-        What the subscriber got, and when each numbered sample was sent.
-    ecg, reanchors, lost
-        Of the agent: its samples, and what its status says at the end.
-    """
+    """What came of it."""
 
     phases: list[Phase]
+    # stamped, true_ns: what the subscriber got, and when each numbered sample was sent.
     stamped: Recording
     true_ns: NDArray[np.int64]
     node_log: str
+    # ecg, reanchors, lost: of the agent: its samples, and what its status says at the end.
     ecg: Recorded
     reanchors: int
     lost: int

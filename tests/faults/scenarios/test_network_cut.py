@@ -53,18 +53,12 @@ LONGER_CUTS = pytest.mark.parametrize(
 
 
 class Cut(NamedTuple):
-    """Unix times of what happened to the cable.
+    """Unix times of what happened to the cable."""
 
-    Attributes
-    ----------
-    begin_s, pulled_s
-        Right before it was pulled, and when it was out for certain.
-    healed_s, end_s
-        When it was back, and the end of the calm then.
-    """
-
+    # begin_s, pulled_s: right before it was pulled, and when it was out for certain.
     begin_s: float
     pulled_s: float
+    # healed_s, end_s: when it was back, and the end of the calm then.
     healed_s: float
     end_s: float
 

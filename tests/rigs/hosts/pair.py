@@ -79,20 +79,11 @@ def _topic(identity: DeviceIdentity, data_name: str) -> str:
 
 
 class Observation(NamedTuple):
-    """What the watchers have received.
+    """What the watchers have received."""
 
-    Attributes
-    ----------
-    streams
-        By source_id, as LSL carried them.
-    topics
-        By name, as the subscriber got them.
-    diagnostics
-        Unix time and, by topic, the facts of its status.
-    """
-
-    streams: dict[str, Recording]
-    topics: dict[str, Recording]
+    streams: dict[str, Recording]  # By source_id, as LSL carried them.
+    topics: dict[str, Recording]  # By name, as the subscriber got them.
+    # Unix time and, by topic, the facts of its status.
     diagnostics: list[tuple[float, dict[str, dict[str, str]]]]
 
     def facts_at(self, time_s: float) -> dict[str, dict[str, str]]:

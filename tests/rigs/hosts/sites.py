@@ -50,19 +50,12 @@ DEADLINE_S = 120.0
 
 
 class Setting(NamedTuple):
-    """How the computers of a lab are joined.
-
-    Attributes
-    ----------
-    delays
-        Of the link between the sites; None where all are on one network.
-    is_deaf
-        Whether the network of the second robot carries no multicast, so that it has its
-        streams by ``known_peers`` and is heard by way of a Fast DDS discovery server.
-    """
+    """How the computers of a lab are joined."""
 
     name: str
-    delays: Delays | None
+    delays: Delays | None  # Of the link between the sites; None where all are on one network.
+    # Whether the network of the second robot carries no multicast, so that it has its streams by
+    # `known_peers` and is heard by way of a Fast DDS discovery server.
     is_deaf: bool
 
 

@@ -11,18 +11,11 @@ _READINGS = 100
 
 
 class Clocks(NamedTuple):
-    """How far a computer's clocks are apart, in seconds.
+    """How far a computer's clocks are apart, in seconds."""
 
-    Attributes
-    ----------
-    unix_minus_lsl
-        Unix time minus the LSL clock of Linux programs.
-    windows_minus_lsl
-        The LSL clock of Windows programs minus that of Linux ones: Wine's performance
-        counter is not slewed with the time of day as the monotonic clock is.
-    """
-
-    unix_minus_lsl: float
+    unix_minus_lsl: float  # Unix time minus the LSL clock of Linux programs.
+    # The LSL clock of Windows programs minus that of Linux ones: Wine's performance counter is not
+    # slewed with the time of day as the monotonic clock is.
     windows_minus_lsl: float
 
 

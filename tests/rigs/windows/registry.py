@@ -26,18 +26,10 @@ _ESCAPED = re.compile(r"\\(?:x(?P<unit>[0-9a-f]{1,4})|(?P<octal>[0-7]{1,3})|(?P<
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value.
+    """One value."""
 
-    Attributes
-    ----------
-    kind
-        Its type as Windows calls it; that of binary values as Wine writes it.
-    data
-        Its text or number; binary values as they are written.
-    """
-
-    kind: str
-    data: str | int
+    kind: str  # Its type as Windows calls it; that of binary values as Wine writes it.
+    data: str | int  # Its text or number; binary values as they are written.
 
 
 Key = dict[str, Value]
