@@ -20,18 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A device that could be added to the settings.
-
-    Attributes
-    ----------
-    name
-        Name for the user, such as the advertised name or an id.
-    settings
-        ``unit`` and the settings with which the driver finds it; scalars only.
-    """
+    """A device that could be added to the settings."""
 
     sensor: str
-    name: str
+    name: str  # Name for the user, such as the advertised name or an id.
+    # `unit` and the settings with which the driver finds it; scalars only.
     settings: Mapping[str, str | int | float | bool]
     rssi_dbm: int | None = None
 
@@ -83,32 +76,22 @@ _Settings = TypeVar("_Settings", bound=DeviceSettings)
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """Information about a connected device.
-
-    Attributes
-    ----------
-    rates
-        Nominal rate in Hz by data name, for streams declared ``FROM_DEVICE``.
-    silent
-        Data names of streams that the settings switch off or that this model does not have.
-    refused
-        Data names of streams that this device does not send, or not to us.
-    denied
-        By data name, a clause about why a wanted stream is not sent and what to do. It is shown
-        until the stream's data arrive, and the stream is not monitored until then.
-    due
-        Maximum gap in seconds of irregular streams that are sent continuously.
-    patience_s
-        Maximum gap of a regular stream, but at least 20 samples. Streams that are silent for
-        longer are restarted, and then the device is reconnected.
-    """
+    """Information about a connected device."""
 
     info: DeviceInfo = field(default_factory=DeviceInfo)
+    # Nominal rate in Hz by data name, for streams declared `FROM_DEVICE`.
     rates: Mapping[str, float] = field(default_factory=dict[str, float])
+    # Data names of streams that the settings switch off or that this model does not have.
     silent: frozenset[str] = frozenset()
+    # Data names of streams that this device does not send, or not to us.
     refused: frozenset[str] = frozenset()
+    # By data name, a clause about why a wanted stream is not sent and what to do. It is shown until
+    # the stream's data arrive, and the stream is not monitored until then.
     denied: Mapping[str, str] = field(default_factory=dict[str, str])
+    # Maximum gap in seconds of irregular streams that are sent continuously.
     due: Mapping[str, float] = field(default_factory=dict[str, float])
+    # Maximum gap of a regular stream, but at least 20 samples. Streams that are silent for longer
+    # are restarted, and then the device is reconnected.
     patience_s: float = PATIENCE_S
 
 
@@ -173,45 +156,29 @@ class EnablesAgain(Protocol):
 
 
 class DriverEntry(NamedTuple):
-    """A driver's registration, the ``DRIVER`` of its module.
+    """A driver's registration, the ``DRIVER`` of its module."""
 
-    Attributes
-    ----------
-    settings
-        Model of the device's table in the settings file.
-    make
-        Called once per device; returns a function that creates a driver for each connection.
-    recognise
-        Recognises a device by an advertisement or a serial port; None for sensors that have
-        neither.
-    find
-        Queries the vendor's services for their devices, given the settings of all configured
-        devices of the sensor, which contain the services' addresses; None if there is no service.
-        Raises a GatewayError if a service does not answer.
-    secrets
-        Credentials for the vendor's service.
-    unlicensed
-        Queries the vendor's service for what the user's licence does not cover, as clauses; None
-        if no licence is needed. Raises a GatewayError if there is no answer.
-    declare
-        Returns the declaration of one device if it depends on its settings, named after their
-        `sensor_name`. None if the sensor's declaration applies to every device.
-    identifiers
-        Patterns of identifiers in payloads, besides address, name and serial number of
-        `Connected`: the first group is replaced before data are shared. A group named ``secret``
-        is not even displayed.
-    forms
-        Text settings that only describe the data format, so they may be shared.
-    """
-
-    settings: type[DeviceSettings]
+    settings: type[DeviceSettings]  # Model of the device's table in the settings file.
+    # Called once per device; returns a function that creates a driver for each connection.
     make: Callable[[DeviceSettings, Sink], Callable[[], Driver]]
+    # Recognises a device by an advertisement or a serial port; None for sensors that have neither.
     recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
+    # Queries the vendor's services for their devices, given the settings of all configured devices
+    # of the sensor, which contain the services' addresses; None if there is no service. Raises a
+    # GatewayError if a service does not answer.
     find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
-    secrets: tuple[SecretName, ...] = ()
+    secrets: tuple[SecretName, ...] = ()  # Credentials for the vendor's service.
+    # Queries the vendor's service for what the user's licence does not cover, as clauses; None if
+    # no licence is needed. Raises a GatewayError if there is no answer.
     unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None
+    # Returns the declaration of one device if it depends on its settings, named after their
+    # `sensor_name`. None if the sensor's declaration applies to every device.
     declare: Callable[[DeviceSettings], SensorSpec] | None = None
+    # Patterns of identifiers in payloads, besides address, name and serial number of `Connected`:
+    # the first group is replaced before data are shared. A group named `secret` is not even
+    # displayed.
     identifiers: tuple[re.Pattern[bytes], ...] = ()
+    # Text settings that only describe the data format, so they may be shared.
     forms: frozenset[str] = frozenset()
 
 

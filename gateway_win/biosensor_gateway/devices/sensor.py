@@ -14,31 +14,17 @@ class Sensor:
 
     Driver and virtual devices are given as ``module:attribute`` and imported when used, so that a
     list of sensors needs none of their libraries.
-
-    Attributes
-    ----------
-    spec
-        The declaration: streams, channels, units, rates.
-    driver
-        A :class:`~biosensor_gateway.devices.driver.DriverEntry`.
-    virtual
-        Classes of virtual devices by variant, with ``""`` for the default; ``run --simulate``
-        accepts them as ``zephyr`` and ``zephyr:recording``.
-    demo
-        The variant used in the demo.
-    introduces
-        Whether ``try`` starts with it; set for the few sensors most people want to see.
-    service
-        The vendor's program that connects to its devices; empty if there is none.
-    precedence
-        If two sensors recognise the same device, the one with the higher value gets it; generic
-        sensors have negative values.
     """
 
-    spec: SensorSpec
-    driver: str
+    spec: SensorSpec  # The declaration: streams, channels, units, rates.
+    driver: str  # A :class:`~biosensor_gateway.devices.driver.DriverEntry`.
+    # Classes of virtual devices by variant, with `""` for the default; `run --simulate` accepts
+    # them as `zephyr` and `zephyr:recording`.
     virtual: Mapping[str, str] = field(default_factory=dict[str, str])
-    demo: str = ""
+    demo: str = ""  # The variant used in the demo.
+    # Whether `try` starts with it; set for the few sensors most people want to see.
     introduces: bool = False
-    service: str = ""
+    service: str = ""  # The vendor's program that connects to its devices; empty if there is none.
+    # If two sensors recognise the same device, the one with the higher value gets it; generic
+    # sensors have negative values.
     precedence: int = 0

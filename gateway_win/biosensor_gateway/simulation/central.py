@@ -239,16 +239,10 @@ _CONNECT_S = 1.0
 
 
 class Heard(NamedTuple):
-    """One advertisement or scan response.
-
-    Attributes
-    ----------
-    data
-        Its payload, undecoded.
-    """
+    """One advertisement or scan response."""
 
     address: str
-    data: bytes
+    data: bytes  # Its payload, undecoded.
     rssi_dbm: int
     is_response: bool
 

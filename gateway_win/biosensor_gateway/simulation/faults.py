@@ -142,16 +142,10 @@ _FAULT = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
-
-    Attributes
-    ----------
-    value
-        In the unit of the kind; infinite seconds never end.
-    """
+    """One fault."""
 
     kind: Kind
-    value: float
+    value: float  # In the unit of the kind; infinite seconds never end.
 
     def __post_init__(self) -> None:
         low, high = _RANGES.get(self.kind, (0.0, math.inf))
@@ -162,19 +156,11 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class ScheduledFault:
-    """A fault with its start and the affected sensor.
-
-    Attributes
-    ----------
-    start_s
-        Seconds after the virtual devices were started.
-    sensor
-        The affected sensor; empty for every device that can have the fault.
-    """
+    """A fault with its start and the affected sensor."""
 
     fault: Fault
-    start_s: float
-    sensor: str = ""
+    start_s: float  # Seconds after the virtual devices were started.
+    sensor: str = ""  # The affected sensor; empty for every device that can have the fault.
 
 
 def parse_fault(text: str) -> ScheduledFault:
@@ -215,16 +201,10 @@ class Effect(Generic[_T]):
     """The effect of one kind of fault on a device or a part of it.
 
     Both functions run in the world's event loop and must not block.
-
-    Attributes
-    ----------
-    begin
-        Called with the affected object and the fault's value.
-    end
-        Called with the affected object; None for instantaneous faults.
     """
 
-    begin: Callable[[_T, float], None]
+    begin: Callable[[_T, float], None]  # Called with the affected object and the fault's value.
+    # Called with the affected object; None for instantaneous faults.
     end: Callable[[_T], None] | None = None
 
 

@@ -110,19 +110,12 @@ SAYS_WHAT_IT_IS = "each message comes from its own characteristic, which identif
 
 
 class Contact(NamedTuple):
-    """The channel that shows whether the device is worn.
+    """The channel that shows whether the device is worn."""
 
-    Attributes
-    ----------
-    data_name, channel
-        The stream, and the channel's column.
-    off
-        Its value while the device is not worn.
-    """
-
+    # data_name, channel: the stream, and the channel's column.
     data_name: str
     channel: int
-    off: float = 0.0
+    off: float = 0.0  # Its value while the device is not worn.
 
 
 class Gap(Enum):
@@ -138,24 +131,15 @@ class Gap(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LossTolerance:
-    """Allowed error of an agent's count of lost samples.
+    """Allowed error of an agent's count of lost samples."""
 
-    Attributes
-    ----------
-    always
-        By data name, if even losses within a connection are not counted exactly.
-    over_break
-        In addition, after a lost connection or a device that stopped sending.
-    over_restart
-        By data name, instead of `over_break` after a restart of the device.
-    by_arrival
-        Whether the first packet after a break is placed by its arrival, so that its delay is
-        mistaken for a part or the end of the break.
-    """
-
+    # By data name, if even losses within a connection are not counted exactly.
     always: Mapping[str, int] = field(default_factory=dict[str, int])
-    over_break: int = 0
+    over_break: int = 0  # In addition, after a lost connection or a device that stopped sending.
+    # By data name, instead of `over_break` after a restart of the device.
     over_restart: Mapping[str, int] = field(default_factory=dict[str, int])
+    # Whether the first packet after a break is placed by its arrival, so that its delay is mistaken
+    # for a part or the end of the break.
     by_arrival: bool = False
 
     def of(self, data_name: str, *, is_break: bool, is_restart: bool) -> int:
@@ -168,41 +152,23 @@ class LossTolerance:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What an agent can know about a device's state, times and losses, and how exactly.
+    """What an agent can know about a device's state, times and losses, and how exactly."""
 
-    Attributes
-    ----------
-    contact
-        Channel that shows whether the device is worn; None for the one with the role ``CONTACT``.
-    without_contact
-        Data names without values off the body: NaN if regular, else no samples.
-    by_agent
-        Data names that the agent computes or schedules, so they are not in the truth.
-    unstamped_s
-        Streams without device timestamps, with the uncertainty of their times in seconds, in
-        addition to the link's delay.
-    gaps
-        By fault, if the device does not measure all the time while disconnected.
-    loss_tolerance
-        Allowed error of counted losses.
-    impossible
-        By fault, why the real device cannot have it, in addition to those impossible with its
-        link.
-    deniable
-        Minimum number of signals that can be refused one by one, if any.
-    bundles_s
-        Longest delay of bundled data that is not mistaken for a clock that was set.
-    is_linked
-        Whether a host connects to it, instead of only receiving it.
-    """
-
+    # Channel that shows whether the device is worn; None for the one with the role `CONTACT`.
     contact: Contact | None = None
+    # Data names without values off the body: NaN if regular, else no samples.
     without_contact: tuple[str, ...] = ()
+    # Data names that the agent computes or schedules, so they are not in the truth.
     by_agent: frozenset[str] = frozenset()
+    # Streams without device timestamps, with the uncertainty of their times in seconds, in addition
+    # to the link's delay.
     unstamped_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    # By fault, if the device does not measure all the time while disconnected.
     gaps: Mapping[FaultKind, Gap] = field(default_factory=dict[FaultKind, Gap])
-    loss_tolerance: LossTolerance = LossTolerance()
+    loss_tolerance: LossTolerance = LossTolerance()  # Allowed error of counted losses.
+    # By fault, why the real device cannot have it, in addition to those impossible with its link.
     impossible: Mapping[Kind, str] = field(default_factory=dict[Kind, str])
-    deniable: int = 2
+    deniable: int = 2  # Minimum number of signals that can be refused one by one, if any.
+    # Longest delay of bundled data that is not mistaken for a clock that was set.
     bundles_s: float = 3.0
-    is_linked: bool = True
+    is_linked: bool = True  # Whether a host connects to it, instead of only receiving it.

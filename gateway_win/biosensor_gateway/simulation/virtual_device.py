@@ -133,18 +133,10 @@ _OF_FIXED_LENGTH: frozenset[Kind] = frozenset(
 
 
 class Filled(NamedTuple):
-    """When a stream has its first data, if not within the first second.
+    """When a stream has its first data, if not within the first second."""
 
-    Attributes
-    ----------
-    after_s
-        Seconds from the connection to its first sample; None for never.
-    reason
-        Why not earlier, or never; a clause for the user.
-    """
-
-    after_s: float | None
-    reason: str
+    after_s: float | None  # Seconds from the connection to its first sample; None for never.
+    reason: str  # Why not earlier, or never; a clause for the user.
 
 
 class VirtualDevice(ABC):

@@ -76,22 +76,12 @@ _BATTERY = "battery_channel"
 
 @dataclass(frozen=True, slots=True)
 class BoardStream:
-    """One stream of a board.
-
-    Attributes
-    ----------
-    preset
-        BrainFlow's number of its preset.
-    rows
-        Rows of that preset, one per channel.
-    is_state
-        Whether only changes are sent.
-    """
+    """One stream of a board."""
 
     spec: StreamSpec
-    preset: int
-    rows: tuple[int, ...]
-    is_state: bool = False
+    preset: int  # BrainFlow's number of its preset.
+    rows: tuple[int, ...]  # Rows of that preset, one per channel.
+    is_state: bool = False  # Whether only changes are sent.
 
 
 def board_streams(

@@ -52,21 +52,11 @@ _NO_BOUNDS = "only its user knows what a self-built device measures"
 
 
 class Column(NamedTuple):
-    """One column of each line.
+    """One column of each line."""
 
-    Attributes
-    ----------
-    stream
-        Data name of its stream.
-    label
-        Label of the channel; `SKIPPED` for an unused column.
-    unit
-        Empty if the settings contain none.
-    """
-
-    stream: str
-    label: str
-    unit: str
+    stream: str  # Data name of its stream.
+    label: str  # Label of the channel; `SKIPPED` for an unused column.
+    unit: str  # Empty if the settings contain none.
 
     @property
     def is_skipped(self) -> bool:

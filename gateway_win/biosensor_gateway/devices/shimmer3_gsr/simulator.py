@@ -152,21 +152,11 @@ def ppg_mv(counts: int) -> float:
 
 @dataclass(frozen=True)
 class Conditions:
-    """The conditions of a block's measurement.
+    """The conditions of a block's measurement."""
 
-    Attributes
-    ----------
-    worn
-        Whether electrodes and probe are on the skin.
-    probe_powered
-        Whether the expansion power is on.
-    battery_counts
-        Battery voltage in ADC counts.
-    """
-
-    worn: bool
-    probe_powered: bool
-    battery_counts: int
+    worn: bool  # Whether electrodes and probe are on the skin.
+    probe_powered: bool  # Whether the expansion power is on.
+    battery_counts: int  # Battery voltage in ADC counts.
 
 
 class GsrMeter:

@@ -36,23 +36,12 @@ _HAS_INTERVALS = 1 << 4
 
 @dataclass(frozen=True, slots=True)
 class HeartRateMeasurement:
-    """A measurement, which straps send about once a second.
+    """A measurement, which straps send about once a second."""
 
-    Attributes
-    ----------
-    bpm
-        Heart rate [1/min]; 0 = no reading.
-    contact
-        Whether there is skin contact; None if not reported.
-    energy_kj
-        Energy expended since the last reset [kJ]; None if not reported.
-    intervals
-        R-R intervals that ended since the last measurement [1/1024 s], oldest first.
-    """
-
-    bpm: int
-    contact: bool | None
-    energy_kj: int | None
+    bpm: int  # Heart rate [1/min]; 0 = no reading.
+    contact: bool | None  # Whether there is skin contact; None if not reported.
+    energy_kj: int | None  # Energy expended since the last reset [kJ]; None if not reported.
+    # R-R intervals that ended since the last measurement [1/1024 s], oldest first.
     intervals: tuple[int, ...]
 
     @property

@@ -24,21 +24,12 @@ _DAMAGED = ("", "10", "00", "0148", "184800", "0848", "1f2c01", "0d48", "0948", 
 
 
 class HeartRateMeasurement(NamedTuple):
-    """One measurement.
+    """One measurement."""
 
-    Attributes
-    ----------
-    bpm
-        Heart rate [1/min]; 0 if there is none.
-    rr
-        R-R intervals [1/1024 s], oldest first; None for a device that never sends any.
-    contact
-        Skin contact; None for a device that does not report it.
-    """
-
-    bpm: int
+    bpm: int  # Heart rate [1/min]; 0 if there is none.
+    # R-R intervals [1/1024 s], oldest first; None for a device that never sends any.
     rr: Sequence[int] | None = None
-    contact: bool | None = None
+    contact: bool | None = None  # Skin contact; None for a device that does not report it.
 
 
 def encode(measurement: HeartRateMeasurement) -> bytes:
@@ -68,14 +59,10 @@ _NOTIFY = Characteristic.Properties.NOTIFY
 
 @dataclass(frozen=True)
 class Identity:
-    """Contents of the Device Information service (0x180A).
+    """Contents of the Device Information service (0x180A)."""
 
-    Attributes
-    ----------
-    manufacturer, model, serial_number, hardware, firmware, software
-        Empty = the device does not have this characteristic.
-    """
-
+    # manufacturer, model, serial_number, hardware, firmware, software: empty = the device does not
+    # have this characteristic.
     manufacturer: str
     model: str
     serial_number: str

@@ -63,18 +63,10 @@ _AVERAGED_INTERVALS = 4
 
 
 class Interval(NamedTuple):
-    """The time between two R peaks.
+    """The time between two R peaks."""
 
-    Attributes
-    ----------
-    time
-        LSL time of the second peak.
-    rr
-        Length [1/1024 s by the device's oscillator].
-    """
-
-    time: float
-    rr: int
+    time: float  # LSL time of the second peak.
+    rr: int  # Length [1/1024 s by the device's oscillator].
 
 
 class BeatDetector:

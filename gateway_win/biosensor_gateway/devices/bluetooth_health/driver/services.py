@@ -100,22 +100,12 @@ _SFLOAT_LIMIT, _FLOAT_LIMIT = 0x7FE, 0x7FFFFE
 
 
 class Field(NamedTuple):
-    """A field of a characteristic.
-
-    Attributes
-    ----------
-    kind
-        ``u8``, ``u16``, ``s16``, ``u24``, ``u32``, ``sfloat`` or ``float``.
-    flag
-        Bit of the flags that shows its presence, or `ALWAYS`.
-    scale
-        Size of one count in the physical unit.
-    """
+    """A field of a characteristic."""
 
     name: str
-    kind: str
-    flag: int = ALWAYS
-    scale: float = 1.0
+    kind: str  # `u8`, `u16`, `s16`, `u24`, `u32`, `sfloat` or `float`.
+    flag: int = ALWAYS  # Bit of the flags that shows its presence, or `ALWAYS`.
+    scale: float = 1.0  # Size of one count in the physical unit.
 
 
 def sfloat(data: bytes) -> float:
@@ -183,31 +173,20 @@ def _signed(number: int, bits: int) -> int:
 
 
 class Row(NamedTuple):
-    """A characteristic that a device notifies.
-
-    Attributes
-    ----------
-    service, characteristic
-        Assigned numbers as 128-bit UUIDs.
-    flag_bytes, fields
-        Layout; see :func:`.layouts.read`.
-    sample
-        Creates the function that creates samples.
-    contact
-        Returns from the fields whether it is worn; None if unknown.
-    due_s
-        Maximum gap while connected; 0 if it is only sent during a measurement.
-    """
+    """A characteristic that a device notifies."""
 
     title: str
+    # service, characteristic: assigned numbers as 128-bit UUIDs.
     service: str
     characteristic: str
+    # flag_bytes, fields: layout; see :func:`.layouts.read`.
     flag_bytes: int
     fields: tuple[Field, ...]
     stream: str
-    sample: Making
+    sample: Making  # Creates the function that creates samples.
+    # Returns from the fields whether it is worn; None if unknown.
     contact: Callable[[Values], bool | None] | None = None
-    due_s: float = 0.0
+    due_s: float = 0.0  # Maximum gap while connected; 0 if it is only sent during a measurement.
 
     def parse(self, data: bytes) -> Values | None:
         """Parse a value; None if it is truncated."""

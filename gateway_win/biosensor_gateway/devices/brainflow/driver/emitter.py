@@ -25,16 +25,10 @@ _MOST_BYTES = 1 << 28
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """New data of a preset.
-
-    Attributes
-    ----------
-    now_s
-        Unix time when they were sent, in seconds; BrainFlow's own timestamps have the same clock.
-    values : array, shape (n_rows, n_samples)
-    """
+    """New data of a preset."""
 
     preset: int
+    # Unix time when they were sent, in seconds; BrainFlow's own timestamps have the same clock.
     now_s: float
     values: NDArray[np.float64]
 

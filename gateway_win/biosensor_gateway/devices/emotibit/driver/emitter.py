@@ -169,21 +169,11 @@ class Oscillator:
 
 
 class Rows(NamedTuple):
-    """Samples that are complete, or will not become more complete.
+    """Samples that are complete, or will not become more complete."""
 
-    Attributes
-    ----------
-    values
-        One row per sample, NaN where a channel was lost.
-    times_s
-        Device time of each sample.
-    lost
-        Number of samples lost completely before them.
-    """
-
-    values: list[list[float]]
-    times_s: list[float]
-    lost: int
+    values: list[list[float]]  # One row per sample, NaN where a channel was lost.
+    times_s: list[float]  # Device time of each sample.
+    lost: int  # Number of samples lost completely before them.
 
 
 class SensorRows:

@@ -45,19 +45,11 @@ _DATA_PORT, _DEVICE_ID = "DP", "DI"
 
 
 class Nearby(NamedTuple):
-    """An EmotiBit that answered.
-
-    Attributes
-    ----------
-    device
-        Its id, such as ``MD-V5-0000123``; empty if unknown.
-    in_use
-        Whether a host uses it.
-    """
+    """An EmotiBit that answered."""
 
     address: Address
-    device: str
-    in_use: bool
+    device: str  # Its id, such as `MD-V5-0000123`; empty if unknown.
+    in_use: bool  # Whether a host uses it.
 
     def is_called(self, device: str) -> bool:
         """Whether it has this id."""
@@ -158,17 +150,11 @@ _QUIET_S = 0.05
 
 
 class Arrived(NamedTuple):
-    """A data datagram.
-
-    Attributes
-    ----------
-    address
-        Sender's address, to which answers are sent.
-    """
+    """A data datagram."""
 
     found: Read
     arrival_s: float
-    address: Address
+    address: Address  # Sender's address, to which answers are sent.
 
 
 class _Control(asyncio.Protocol):

@@ -63,21 +63,11 @@ class Tag(StrEnum):
 
 
 class Packet(NamedTuple):
-    """One packet.
+    """One packet."""
 
-    Attributes
-    ----------
-    time_ms
-        Device time of the last value, or of the packet if it has no values.
-    number
-        Counter of all packets of a channel, 0 to 65535.
-    tag
-        One of `Tag`, or an unused kind.
-    """
-
-    time_ms: int
-    number: int
-    tag: str
+    time_ms: int  # Device time of the last value, or of the packet if it has no values.
+    number: int  # Counter of all packets of a channel, 0 to 65535.
+    tag: str  # One of `Tag`, or an unused kind.
     payload: tuple[str, ...]
 
     def values(self) -> tuple[float, ...] | None:
@@ -95,16 +85,10 @@ class Packet(NamedTuple):
 
 
 class Read(NamedTuple):
-    """The packets of a datagram.
-
-    Attributes
-    ----------
-    dropped_bytes
-        Bytes of lines that are not packets.
-    """
+    """The packets of a datagram."""
 
     packets: list[Packet]
-    dropped_bytes: int
+    dropped_bytes: int  # Bytes of lines that are not packets.
 
 
 def read(datagram: bytes) -> Read:
@@ -149,19 +133,11 @@ def _natural(text: str) -> int:
 
 
 class Ordered(NamedTuple):
-    """A packet in order.
-
-    Attributes
-    ----------
-    time_s
-        Unwrapped device time.
-    is_behind_gap
-        Whether packets before it were lost.
-    """
+    """A packet in order."""
 
     packet: Packet
-    time_s: float
-    is_behind_gap: bool
+    time_s: float  # Unwrapped device time.
+    is_behind_gap: bool  # Whether packets before it were lost.
 
 
 class _Waiting(NamedTuple):

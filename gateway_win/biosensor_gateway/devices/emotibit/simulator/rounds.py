@@ -47,22 +47,13 @@ REQUEST, TIME_LOCAL, TIME_UTC, ACKNOWLEDGED = "RD", "TL", "TU", "AK"
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A sensor.
-
-    Attributes
-    ----------
-    tags
-        Packet tags of its channels.
-    fast_ppm
-        Error of its own oscillator.
-    measure
-        Returns values at times of the wearer, shape (n, channels), as printed in its packets.
-    """
+    """A sensor."""
 
     data_name: str
-    tags: tuple[str, ...]
+    tags: tuple[str, ...]  # Packet tags of its channels.
     rate_hz: float
-    fast_ppm: float
+    fast_ppm: float  # Error of its own oscillator.
+    # Returns values at times of the wearer, shape (n, channels), as printed in its packets.
     measure: Callable[[Wearer, Floats], Floats]
 
     @property
@@ -73,17 +64,10 @@ class Part:
 
 @dataclass(slots=True)
 class Reading:
-    """Samples of one sensor in the processor's buffer, until they are sent.
+    """Samples of one sensor in the processor's buffer, until they are sent."""
 
-    Attributes
-    ----------
-    stamps_ms
-        Reading time of each sample.
-    times_s
-        Time of measurement of each sample, in device seconds.
-    """
-
-    stamps_ms: list[int] = field(default_factory=list[int])
+    stamps_ms: list[int] = field(default_factory=list[int])  # Reading time of each sample.
+    # Time of measurement of each sample, in device seconds.
     times_s: list[float] = field(default_factory=list[float])
 
 

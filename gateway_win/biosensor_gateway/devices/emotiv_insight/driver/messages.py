@@ -178,18 +178,11 @@ class RpcError:
 
 @dataclass(frozen=True, slots=True)
 class Warned:
-    """A warning that Cortex sends by itself.
-
-    Attributes
-    ----------
-    text
-        Cortex's own text, which is only displayed.
-    headset, session
-        The headset and session concerned; empty if not given.
-    """
+    """A warning that Cortex sends by itself."""
 
     code: int
-    text: str = ""
+    text: str = ""  # Cortex's own text, which is only displayed.
+    # headset, session: the headset and session concerned; empty if not given.
     headset: str = ""
     session: str = ""
 
@@ -201,37 +194,21 @@ class Warned:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """Answer to a request.
-
-    Attributes
-    ----------
-    result
-        JSON value; None if there is an error.
-    attention
-        A problem with the headset search, sent with its answer.
-    """
+    """Answer to a request."""
 
     request_id: int
-    result: object = None
+    result: object = None  # JSON value; None if there is an error.
     error: RpcError | None = None
-    attention: Warned | None = None
+    attention: Warned | None = None  # A problem with the headset search, sent with its answer.
 
 
 class Data(NamedTuple):
-    """One sample, with its values in the order of the stream's columns.
-
-    Attributes
-    ----------
-    time_s
-        Unix time of the sample on the clock of the computer that runs Cortex.
-    values
-        JSON values.
-    """
+    """One sample, with its values in the order of the stream's columns."""
 
     stream: str
     session: str
-    time_s: float
-    values: list[object]
+    time_s: float  # Unix time of the sample on the clock of the computer that runs Cortex.
+    values: list[object]  # JSON values.
 
 
 Message = Reply | Warned | Data | Fault

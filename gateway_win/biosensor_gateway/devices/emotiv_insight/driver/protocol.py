@@ -53,22 +53,12 @@ class Layout:
 
 
 class Sample(NamedTuple):
-    """One sample of one stream.
-
-    Attributes
-    ----------
-    time_s
-        Unix time on the clock of the computer that runs Cortex.
-    numbers
-        Numbers by label; NaN if Cortex has no value.
-    others
-        Texts, booleans and lists by label.
-    """
+    """One sample of one stream."""
 
     stream: str
-    time_s: float
-    numbers: Mapping[str, float]
-    others: Mapping[str, object] = MappingProxyType({})
+    time_s: float  # Unix time on the clock of the computer that runs Cortex.
+    numbers: Mapping[str, float]  # Numbers by label; NaN if Cortex has no value.
+    others: Mapping[str, object] = MappingProxyType({})  # Texts, booleans and lists by label.
 
 
 class _Reading(NamedTuple):
@@ -191,53 +181,34 @@ def _missing(value: object) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Login:
-    """The user logged in to the vendor's launcher.
-
-    Attributes
-    ----------
-    same_os_user
-        Whether it is the current user of this computer.
-    """
+    """The user logged in to the vendor's launcher."""
 
     logged_in: bool
-    same_os_user: bool = True
+    same_os_user: bool = True  # Whether it is the current user of this computer.
 
 
 @dataclass(frozen=True, slots=True)
 class Licence:
-    """Coverage of the user's licence.
+    """Coverage of the user's licence."""
 
-    Attributes
-    ----------
-    scopes
-        ``eeg`` for raw EEG, ``pm`` for performance metrics at their full rate.
-    """
-
+    # `eeg` for raw EEG, `pm` for performance metrics at their full rate.
     scopes: frozenset[str] = frozenset()
     expired: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Headset:
-    """A headset that Cortex knows.
-
-    Attributes
-    ----------
-    status
-        ``discovered``, ``connecting`` or ``connected``.
-    eeg_rate_hz, motion_rate_hz
-        0 while it is not connected, or the motion sensor is off.
-    electrodes
-        From the headset's own list; empty while it is not connected.
-    """
+    """A headset that Cortex knows."""
 
     headset_id: str
-    status: str = ""
+    status: str = ""  # `discovered`, `connecting` or `connected`.
     name: str = ""
     firmware: str = ""
+    # eeg_rate_hz, motion_rate_hz: 0 while it is not connected, or the motion sensor is off.
     eeg_rate_hz: float = 0.0
     motion_rate_hz: float = 0.0
     is_virtual: bool = False
+    # From the headset's own list; empty while it is not connected.
     electrodes: tuple[str, ...] = ()
 
     @property
@@ -267,21 +238,11 @@ class SessionState:
 
 @dataclass(frozen=True, slots=True)
 class Subscription:
-    """Outcome of ``subscribe``.
+    """Outcome of ``subscribe``."""
 
-    Attributes
-    ----------
-    layouts
-        Columns by stream.
-    failures
-        Error code by stream.
-    session_id
-        Session id in the streams' data; empty if not given.
-    """
-
-    layouts: Mapping[str, Layout] = field(default_factory=dict[str, Layout])
-    failures: Mapping[str, int] = field(default_factory=dict[str, int])
-    session_id: str = ""
+    layouts: Mapping[str, Layout] = field(default_factory=dict[str, Layout])  # Columns by stream.
+    failures: Mapping[str, int] = field(default_factory=dict[str, int])  # Error code by stream.
+    session_id: str = ""  # Session id in the streams' data; empty if not given.
 
 
 def version(result: object) -> str:

@@ -202,21 +202,14 @@ class Account:
 
 @dataclass(eq=False, slots=True)
 class Session:
-    """One app's session; it ends with the connection that created it.
-
-    Attributes
-    ----------
-    is_active
-        Whether it uses the licence; a session that is only open has no EEG.
-    subscribers
-        Subscribed clients of each stream.
-    """
+    """One app's session; it ends with the connection that created it."""
 
     session_id: str
     client_id: str
     client: Client
     started: str
-    is_active: bool = False
+    is_active: bool = False  # Whether it uses the licence; a session that is only open has no EEG.
+    # Subscribed clients of each stream.
     subscribers: dict[str, Client] = field(default_factory=dict[str, Client])
 
     def describe(self, headset: dict[str, Any], status: str = "") -> dict[str, Any]:

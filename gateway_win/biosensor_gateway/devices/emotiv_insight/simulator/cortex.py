@@ -73,17 +73,11 @@ RELEASE = Release("4.8.32")
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Version, app and surroundings of a virtual Cortex.
-
-    Attributes
-    ----------
-    neighbours
-        Ids of other headsets in the list.
-    """
+    """Version, app and surroundings of a virtual Cortex."""
 
     release: Release = RELEASE
     app: App = APP
-    neighbours: tuple[str, ...] = ()
+    neighbours: tuple[str, ...] = ()  # Ids of other headsets in the list.
 
 
 _CORTEX_READY = 23

@@ -18,34 +18,18 @@ _FIELDS = ("ACCX", "ACCY", "ACCZ", "MAGX", "MAGY", "MAGZ")
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """Properties of a headset of one model and firmware.
+    """Properties of a headset of one model and firmware."""
 
-    Attributes
-    ----------
-    prefix
-        Prefix of the headset's id, as in ``INSIGHT-A1B2C3D4``.
-    mode
-        Value of ``settings.mode``.
-    electrodes
-        Electrodes in the order of the columns.
-    eeg_rate, eeg_bits
-        Samples per second and resolution of the ADC.
-    motion_rate
-        Samples per second; 0 if the motion sensor is off.
-    has_gyroscope
-        Whether it sends angular rates instead of the quaternion, as in older firmware.
-    firmware
-        Version as in the headset object.
-    """
-
-    prefix: str
-    mode: str
-    electrodes: tuple[str, ...]
+    prefix: str  # Prefix of the headset's id, as in `INSIGHT-A1B2C3D4`.
+    mode: str  # Value of `settings.mode`.
+    electrodes: tuple[str, ...]  # Electrodes in the order of the columns.
+    # eeg_rate, eeg_bits: samples per second and resolution of the ADC.
     eeg_rate: int
     eeg_bits: int
-    motion_rate: int
+    motion_rate: int  # Samples per second; 0 if the motion sensor is off.
+    # Whether it sends angular rates instead of the quaternion, as in older firmware.
     has_gyroscope: bool
-    firmware: str
+    firmware: str  # Version as in the headset object.
 
     @property
     def motion_sensors(self) -> tuple[str, ...]:
@@ -192,22 +176,13 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Durations of Cortex's actions [s]; a real one scans for 20 s.
+    """Durations of Cortex's actions [s]; a real one scans for 20 s."""
 
-    Attributes
-    ----------
-    found_s, scan_s
-        From the start of a scan until a headset is found, and until the scan ends.
-    connect_s
-        Until a connection is established.
-    starting_s
-        Time until a restarted service is ready.
-    """
-
+    # found_s, scan_s: from the start of a scan until a headset is found, and until the scan ends.
     found_s: float = 0.2
     scan_s: float = 1.0
-    connect_s: float = 0.2
-    starting_s: float = 0.3
+    connect_s: float = 0.2  # Until a connection is established.
+    starting_s: float = 0.3  # Time until a restarted service is ready.
 
 
 class Headset:

@@ -270,21 +270,11 @@ _REFUSED_METHODS = frozenset({"authorize", "createSession", "subscribe"})
 
 @dataclass(slots=True)
 class Manners:
-    """Behaviour of the server's answers.
+    """Behaviour of the server's answers."""
 
-    Attributes
-    ----------
-    late_s
-        Delay of all answers.
-    refusal
-        Error code for requests that lead to data; None if not refused.
-    is_starting
-        Whether only the version is available yet.
-    """
-
-    late_s: float = 0.0
-    refusal: int | None = None
-    is_starting: bool = False
+    late_s: float = 0.0  # Delay of all answers.
+    refusal: int | None = None  # Error code for requests that lead to data; None if not refused.
+    is_starting: bool = False  # Whether only the version is available yet.
 
     def check(self, method: str) -> None:
         """Raise the error of a request that must be refused, before it has any effect.

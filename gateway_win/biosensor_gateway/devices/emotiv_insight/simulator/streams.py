@@ -228,36 +228,18 @@ _DECLARED_AS = {
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The environment of a stream.
+    """The environment of a stream."""
 
-    Attributes
-    ----------
-    oscillator
-        Device clock: sample ``k`` is at device time ``k / rate``.
-    begin_s
-        LSL time at which the wearer's time is 0.
-    jitter_s
-        Maximum transport delay.
-    delivers
-        Whether the headset's data reach Cortex.
-    is_unreadable
-        Whether samples of every stream have an unannounced column.
-    stamp
-        Converts a device time [s] to Cortex's clock [Unix s].
-    changes
-        Counter of changes that invalidate precomputed samples.
-    """
-
-    oscillator: Oscillator
-    begin_s: float
-    jitter_s: float
+    oscillator: Oscillator  # Device clock: sample `k` is at device time `k / rate`.
+    begin_s: float  # LSL time at which the wearer's time is 0.
+    jitter_s: float  # Maximum transport delay.
     rng: np.random.Generator
     truth: Truth
-    delivers: Callable[[], bool]
-    is_unreadable: Callable[[], bool]
+    delivers: Callable[[], bool]  # Whether the headset's data reach Cortex.
+    is_unreadable: Callable[[], bool]  # Whether samples of every stream have an unannounced column.
     subscribed: Callable[[str], list[tuple[Session, Client]]]
-    stamp: Callable[[float], float]
-    changes: Callable[[], int]
+    stamp: Callable[[float], float]  # Converts a device time [s] to Cortex's clock [Unix s].
+    changes: Callable[[], int]  # Counter of changes that invalidate precomputed samples.
 
 
 class Stream:

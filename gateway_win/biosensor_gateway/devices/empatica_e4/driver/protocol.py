@@ -59,57 +59,32 @@ class RadioEvent(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One sample.
-
-    Attributes
-    ----------
-    time_s
-        Unix time: the server's time of the radio link's first packet, plus the sample's number
-        divided by the nominal rate.
-    values
-        Values as sent: acc in 1/64 g, bat as a fraction, tag empty.
-    """
+    """One sample."""
 
     stream: Stream
+    # Unix time: the server's time of the radio link's first packet, plus the sample's number
+    # divided by the nominal rate.
     time_s: float
-    values: tuple[float, ...]
+    values: tuple[float, ...]  # Values as sent: acc in 1/64 g, bat as a fraction, tag empty.
 
 
 @dataclass(frozen=True, slots=True)
 class Wristband:
-    """One entry of a device list.
+    """One entry of a device list."""
 
-    Attributes
-    ----------
-    device
-        Six hex digits, lower case.
-    allowed
-        False if the server's API key does not own it.
-    """
-
-    device: str
-    allowed: bool = True
+    device: str  # Six hex digits, lower case.
+    allowed: bool = True  # False if the server's API key does not own it.
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request.
-
-    Attributes
-    ----------
-    subject
-        The stream of a subscription, ON or OFF of a pause; else empty.
-    reason
-        The server's free text if it refused.
-    devices
-        Entries of a device list.
-    """
+    """The answer to a request."""
 
     command: str
     accepted: bool
-    subject: str = ""
-    reason: str = ""
-    devices: tuple[Wristband, ...] = ()
+    subject: str = ""  # The stream of a subscription, ON or OFF of a pause; else empty.
+    reason: str = ""  # The server's free text if it refused.
+    devices: tuple[Wristband, ...] = ()  # Entries of a device list.
 
 
 @dataclass(frozen=True, slots=True)

@@ -253,30 +253,17 @@ class Listener:
 
 @dataclass(slots=True)
 class Manners:
-    """Behaviour of the server's answers.
+    """Behaviour of the server's answers."""
 
-    Attributes
-    ----------
-    late_s
-        Delay of answers; requests are executed at once.
-    refuses_binding
-        Whether ``device_connect`` fails.
-    refused_streams
-        Streams to which subscriptions fail.
-    withheld
-        Commands whose next request gets no answer.
-    never_answered
-        Commands that never get an answer, and whether they are executed anyway.
-    hides_all
-        Whether lists are empty.
-    """
-
-    late_s: float = 0.0
-    refuses_binding: bool = False
+    late_s: float = 0.0  # Delay of answers; requests are executed at once.
+    refuses_binding: bool = False  # Whether `device_connect` fails.
+    # Streams to which subscriptions fail.
     refused_streams: set[str] = field(default_factory=set[str])
+    # Commands whose next request gets no answer.
     withheld: set[str] = field(default_factory=set[str])
+    # Commands that never get an answer, and whether they are executed anyway.
     never_answered: dict[str, bool] = field(default_factory=dict[str, bool])
-    hides_all: bool = False
+    hides_all: bool = False  # Whether lists are empty.
 
 
 # Time from a client's request for a radio link to the link.

@@ -89,38 +89,21 @@ def damaged_line(rng: np.random.Generator) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Tear:
-    """How a line is torn.
+    """How a line is torn."""
 
-    Attributes
-    ----------
-    pause_s
-        Pause between the two parts.
-    in_line_end
-        Whether it is torn between CR and LF, else in the middle.
-    """
-
-    pause_s: float
-    in_line_end: bool
+    pause_s: float  # Pause between the two parts.
+    in_line_end: bool  # Whether it is torn between CR and LF, else in the middle.
 
 
 @dataclass(slots=True)
 class Mishaps:
-    """Faults of the next data lines; the numbers count down.
+    """Faults of the next data lines; the numbers count down."""
 
-    Attributes
-    ----------
-    foreign
-        Number of lines with digits and marks of another script.
-    glued
-        Number of line pairs without a line end between them, which cannot be separated.
-    cut
-        Number of lines that end in the middle, together with the connection.
-    """
-
-    foreign: bool = False
+    foreign: bool = False  # Number of lines with digits and marks of another script.
     doubled: int = 0
+    # Number of line pairs without a line end between them, which cannot be separated.
     glued: int = 0
-    cut: int = 0
+    cut: int = 0  # Number of lines that end in the middle, together with the connection.
     tears: list[Tear] = field(default_factory=list[Tear])
 
 

@@ -61,24 +61,14 @@ COUNTS_PER_G = 64
 
 
 class Stream(NamedTuple):
-    """One stream of the server.
+    """One stream of the server."""
 
-    Attributes
-    ----------
-    word
-        First word of its lines.
-    subscription
-        Word that clients subscribe to.
-    rate_hz
-        Nominal rate for the server's timestamps; None for samples with their own time.
-    declared
-        Converts sent values to declared units.
-    """
-
-    word: str
-    subscription: str
+    word: str  # First word of its lines.
+    subscription: str  # Word that clients subscribe to.
     data_name: str
+    # Nominal rate for the server's timestamps; None for samples with their own time.
     rate_hz: float | None
+    # Converts sent values to declared units.
     declared: Callable[[Sequence[float]], tuple[float, ...]]
 
 
@@ -106,22 +96,12 @@ SUBSCRIPTIONS = frozenset({"acc", "bvp", "gsr", "ibi", "tmp", "bat", "tag"})
 
 
 class Sample(NamedTuple):
-    """One sample.
-
-    Attributes
-    ----------
-    measured_s
-        True time [s, LSL clock].
-    after_s
-        Seconds of the wristband's oscillator since the start of its radio link.
-    values
-        Values as sent, with the precision of the format.
-    """
+    """One sample."""
 
     stream: Stream
-    measured_s: float
-    after_s: float
-    values: tuple[float, ...]
+    measured_s: float  # True time [s, LSL clock].
+    after_s: float  # Seconds of the wristband's oscillator since the start of its radio link.
+    values: tuple[float, ...]  # Values as sent, with the precision of the format.
 
     @property
     def declared_values(self) -> tuple[float, ...]:
@@ -136,20 +116,11 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True, slots=True, order=True)
 class Packet:
-    """Samples sent together; packets are ordered by arrival at the server.
+    """Samples sent together; packets are ordered by arrival at the server."""
 
-    Attributes
-    ----------
-    arrives_s
-        Arrival on the LSL clock.
-    number
-        Breaks ties between packets that arrive together.
-    samples
-        Samples of one subscription, in the order of their lines.
-    """
-
-    arrives_s: float
-    number: int
+    arrives_s: float  # Arrival on the LSL clock.
+    number: int  # Breaks ties between packets that arrive together.
+    # Samples of one subscription, in the order of their lines.
     samples: tuple[Sample, ...] = field(compare=False)
 
     @property

@@ -92,22 +92,12 @@ _BEAT_TICKS_HZ = 64
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When samples are sent.
+    """When samples are sent."""
 
-    Attributes
-    ----------
-    burst
-        Number of GSR and temperature samples sent together.
-    beat_delay_s
-        Delay of a beat's HR and IBI.
-    jitter_s
-        Maximum radio delay of a packet.
-    """
-
-    burst: int = 6
-    beat_delay_s: float = 5.6
+    burst: int = 6  # Number of GSR and temperature samples sent together.
+    beat_delay_s: float = 5.6  # Delay of a beat's HR and IBI.
     battery_interval_s: float = 10.0
-    jitter_s: float = 0.0
+    jitter_s: float = 0.0  # Maximum radio delay of a packet.
 
 
 class RadioLink:

@@ -51,19 +51,11 @@ class Order(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A line's place among the others.
-
-    Attributes
-    ----------
-    value
-        Number of lines, or seconds, since the first one.
-    step
-        Increase since the previous line.
-    """
+    """A line's place among the others."""
 
     order: Order
-    value: float
-    step: float
+    value: float  # Number of lines, or seconds, since the first one.
+    step: float  # Increase since the previous line.
 
 
 class Unwrapped:

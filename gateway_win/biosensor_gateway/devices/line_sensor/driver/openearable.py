@@ -31,18 +31,10 @@ _Object = dict[str, Any]
 
 
 class Asked(NamedTuple):
-    """The sensor to subscribe to in the app.
+    """The sensor to subscribe to in the app."""
 
-    Attributes
-    ----------
-    sensor
-        Name or id of the sensor in the app.
-    wearable
-        Name or id of the device; empty for the only one connected to the app.
-    """
-
-    sensor: str
-    wearable: str
+    sensor: str  # Name or id of the sensor in the app.
+    wearable: str  # Name or id of the device; empty for the only one connected to the app.
     time_unit: str
 
 

@@ -190,20 +190,12 @@ class Wrong(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BadLine:
-    """A line that is not emitted.
-
-    Attributes
-    ----------
-    raw
-        The line or its start.
-    why
-        A clause for the user about what is wrong.
-    """
+    """A line that is not emitted."""
 
     flaw: Flaw
-    raw: bytes
+    raw: bytes  # The line or its start.
     size: int
-    why: str
+    why: str  # A clause for the user about what is wrong.
 
 
 class RowProtocol(Protocol):

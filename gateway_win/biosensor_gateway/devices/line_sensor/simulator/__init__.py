@@ -50,20 +50,11 @@ RECORD_FORMAT = "<IIffff"
 
 
 class Measured(NamedTuple):
-    """One measurement of a board.
+    """One measurement of a board."""
 
-    Attributes
-    ----------
-    number
-        Number of the measurement since power-on.
-    micros
-        Device time in microseconds.
-    acc_g, gsr_us
-        Values as sent, in g and microsiemens.
-    """
-
-    number: int
-    micros: int
+    number: int  # Number of the measurement since power-on.
+    micros: int  # Device time in microseconds.
+    # acc_g, gsr_us: values as sent, in g and microsiemens.
     acc_g: tuple[float, float, float]
     gsr_us: float
 

@@ -45,18 +45,10 @@ _TURN_MS = 1 << 32
 
 
 class Placed(NamedTuple):
-    """A packet's times on the device's clock.
+    """A packet's times on the device's clock."""
 
-    Attributes
-    ----------
-    times_s
-        Device clock of each sample, ascending.
-    lost
-        Number of samples missing before them.
-    """
-
-    times_s: list[float]
-    lost: int
+    times_s: list[float]  # Device clock of each sample, ascending.
+    lost: int  # Number of samples missing before them.
 
 
 class StampClock:

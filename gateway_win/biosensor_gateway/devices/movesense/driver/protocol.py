@@ -49,15 +49,9 @@ Floats = NDArray[np.float64]
 
 
 class Block(NamedTuple):
-    """Samples of one packet.
+    """Samples of one packet."""
 
-    Attributes
-    ----------
-    stamp_ms
-        Device time of the first sample, in ms since power-on, modulo 2**32.
-    """
-
-    stamp_ms: int
+    stamp_ms: int  # Device time of the first sample, in ms since power-on, modulo 2**32.
     samples: Floats
 
 
@@ -142,16 +136,10 @@ class Kind(IntEnum):
 
 
 class Message(NamedTuple):
-    """A message from the device.
-
-    Attributes
-    ----------
-    reference
-        Reference of the command that it answers or that requested the data.
-    """
+    """A message from the device."""
 
     kind: Kind
-    reference: int
+    reference: int  # Reference of the command that it answers or that requested the data.
     payload: bytes
 
     @property
@@ -168,15 +156,10 @@ class Message(NamedTuple):
 
 
 class Greeting(NamedTuple):
-    """The device information.
-
-    Attributes
-    ----------
-    serial_number, product, app, app_version
-        Empty if not reported.
-    """
+    """The device information."""
 
     answers: bool
+    # serial_number, product, app, app_version: empty if not reported.
     serial_number: str = ""
     product: str = ""
     app: str = ""
@@ -311,28 +294,14 @@ MOVEMENT = _ALL[1]
 
 
 class Measurement(NamedTuple):
-    """One subscription; a device has room for four.
+    """One subscription; a device has room for four."""
 
-    Attributes
-    ----------
-    reference
-        Sent by the device with each packet.
-    streams
-        Data names, in the order of the arrays in a packet.
-    rate_hz
-        Nominal rate; None for irregular packets.
-    full_bytes
-        Usual length of a packet; 0 if each part is a complete packet.
-    sample_bytes
-        Size of one sample of all streams together.
-    """
-
-    reference: int
+    reference: int  # Sent by the device with each packet.
     path: str
-    streams: tuple[str, ...]
-    rate_hz: int | None = None
-    full_bytes: int = 0
-    sample_bytes: int = 1
+    streams: tuple[str, ...]  # Data names, in the order of the arrays in a packet.
+    rate_hz: int | None = None  # Nominal rate; None for irregular packets.
+    full_bytes: int = 0  # Usual length of a packet; 0 if each part is a complete packet.
+    sample_bytes: int = 1  # Size of one sample of all streams together.
 
 
 HEART_RATE = Measurement(_HEART_RATE, "/Meas/HR", ("hr", "ibi"))

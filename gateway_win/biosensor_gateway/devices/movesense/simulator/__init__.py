@@ -365,21 +365,11 @@ class _SensorDataService:
 
 @dataclass(frozen=True)
 class Firmware:
-    """A firmware version.
+    """A firmware version."""
 
-    Attributes
-    ----------
-    is_old
-        Whether it uses the first version of the protocol.
-    max_mtu
-        Largest ATT MTU that it accepts.
-    demands_pairing
-        Whether it accepts commands only from a paired host.
-    """
-
-    is_old: bool = False
-    max_mtu: int = FULL_MTU
-    demands_pairing: bool = False
+    is_old: bool = False  # Whether it uses the first version of the protocol.
+    max_mtu: int = FULL_MTU  # Largest ATT MTU that it accepts.
+    demands_pairing: bool = False  # Whether it accepts commands only from a paired host.
 
 
 class SimulatedMovesense(StrapDevice):

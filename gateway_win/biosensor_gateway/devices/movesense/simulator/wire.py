@@ -45,21 +45,11 @@ VECTORS = {
 
 
 class Resource(NamedTuple):
-    """The resource of a path.
+    """The resource of a path."""
 
-    Attributes
-    ----------
-    kind
-        Lower case: ``ecg``, ``hr``, ``temp`` or a key of `VECTORS`.
-    rate_hz
-        0 if it has no rate.
-    scaled
-        Whether the firmware converts the ECG.
-    """
-
-    kind: str
-    rate_hz: int = 0
-    scaled: bool = False
+    kind: str  # Lower case: `ecg`, `hr`, `temp` or a key of `VECTORS`.
+    rate_hz: int = 0  # 0 if it has no rate.
+    scaled: bool = False  # Whether the firmware converts the ECG.
 
 
 def resource(path: bytes) -> Resource | None:

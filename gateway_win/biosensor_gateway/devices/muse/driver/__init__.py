@@ -62,18 +62,10 @@ MUSE_S = frozenset({"5", "6"})
 
 
 class _Preset(NamedTuple):
-    """What a preset contains besides four EEG channels, acceleration and rotation.
+    """What a preset contains besides four EEG channels, acceleration and rotation."""
 
-    Attributes
-    ----------
-    has_aux
-        Whether it has the inputs for additional electrodes.
-    light
-        Number of light channels.
-    """
-
-    has_aux: bool
-    light: int
+    has_aux: bool  # Whether it has the inputs for additional electrodes.
+    light: int  # Number of light channels.
 
 
 CLASSIC_PRESETS = {

@@ -66,36 +66,20 @@ _LONG_BATTERY = 0x88
 
 
 class Block(NamedTuple):
-    """Samples of one kind.
-
-    Attributes
-    ----------
-    number
-        Counter of the blocks of its kind, modulo `NUMBERS`.
-    stamp_s
-        Device time at which it was completed.
-    """
+    """Samples of one kind."""
 
     kind: Kind
-    number: int
-    stamp_s: float
+    number: int  # Counter of the blocks of its kind, modulo `NUMBERS`.
+    stamp_s: float  # Device time at which it was completed.
     payload: bytes
 
 
 class Frame(NamedTuple):
-    """One frame.
+    """One frame."""
 
-    Attributes
-    ----------
-    counter
-        Frame counter, modulo `COUNTERS`.
-    unread_bytes
-        Number of bytes after the last valid block.
-    """
-
-    counter: int
+    counter: int  # Frame counter, modulo `COUNTERS`.
     blocks: Sequence[Block]
-    unread_bytes: int
+    unread_bytes: int  # Number of bytes after the last valid block.
 
 
 def parse_notification(data: bytes) -> tuple[list[Frame], int]:

@@ -118,21 +118,11 @@ def _slope(points: Sequence[Point]) -> tuple[float, float]:
 
 
 class Place(NamedTuple):
-    """A packet's place among the samples of its stream.
+    """A packet's place among the samples of its stream."""
 
-    Attributes
-    ----------
-    first
-        Number of its first sample; numbers are consecutive within a series.
-    lost
-        Number of samples missing before it.
-    is_again
-        Whether it is the first packet of a series, which is placed by time alone.
-    """
-
-    first: int
-    lost: int
-    is_again: bool
+    first: int  # Number of its first sample; numbers are consecutive within a series.
+    lost: int  # Number of samples missing before it.
+    is_again: bool  # Whether it is the first packet of a series, which is placed by time alone.
 
 
 class PacketSeries:

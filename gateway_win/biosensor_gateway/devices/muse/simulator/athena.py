@@ -55,17 +55,11 @@ _UV, _G, _DPS = 1450 / 16383, 1 / 16384, -245 / 32768
 
 
 class Block(NamedTuple):
-    """A block of one frame.
-
-    Attributes
-    ----------
-    stamp_us
-        Device time at which it was completed.
-    """
+    """A block of one frame."""
 
     tag: int
     number: int
-    stamp_us: int
+    stamp_us: int  # Device time at which it was completed.
     payload: bytes
 
     @property
@@ -144,19 +138,11 @@ Rows = dict[str, Floats]
 
 
 class _Source(NamedTuple):
-    """The measurement of one tag.
-
-    Attributes
-    ----------
-    rate_hz
-        True rate, as in recordings.
-    ticks
-        Number of processor ticks between blocks.
-    """
+    """The measurement of one tag."""
 
     tag: Tag
-    rate_hz: float
-    ticks: int
+    rate_hz: float  # True rate, as in recordings.
+    ticks: int  # Number of processor ticks between blocks.
 
 
 class _Waiting(NamedTuple):

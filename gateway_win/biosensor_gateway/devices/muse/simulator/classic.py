@@ -75,17 +75,12 @@ def _motion(number: int, values: Floats, unit: float) -> tuple[bytes, Floats]:
 
 
 class _Source(NamedTuple):
-    """Channels that are measured together.
-
-    Attributes
-    ----------
-    measure
-        Takes the packet number and the true times; returns packets with their characteristics, and
-        samples by data name.
-    """
+    """Channels that are measured together."""
 
     rate_hz: float
     samples: int
+    # Takes the packet number and the true times; returns packets with their characteristics, and
+    # samples by data name.
     measure: Callable[[int, Floats], tuple[Packets, Rows]]
 
 

@@ -28,25 +28,13 @@ _SHORT, _LONG = 3, 4
 
 
 class Broadcast(NamedTuple):
-    """The contents of one heart rate block.
+    """The contents of one heart rate block."""
 
-    Attributes
-    ----------
-    bpm
-        The average displayed by devices [1/min]; 0 = no reading.
-    fast_bpm
-        Average over a shorter time; 0 = no reading or not included.
-    contact
-        Whether the device reports skin contact.
-    counter
-        Counter of measurements, modulo `COUNTS`; some old devices do not count.
-    """
-
-    bpm: int
-    fast_bpm: int
-    contact: bool
+    bpm: int  # The average displayed by devices [1/min]; 0 = no reading.
+    fast_bpm: int  # Average over a shorter time; 0 = no reading or not included.
+    contact: bool  # Whether the device reports skin contact.
     battery_ok: bool
-    counter: int
+    counter: int  # Counter of measurements, modulo `COUNTS`; some old devices do not count.
 
 
 def parse(data: bytes) -> Broadcast | None:

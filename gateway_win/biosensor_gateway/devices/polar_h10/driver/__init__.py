@@ -56,25 +56,14 @@ async def _as_it_is(_control: ControlPoint, _offered: frozenset[int]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to start on a device at each connection.
+    """What to start on a device at each connection."""
 
-    Attributes
-    ----------
-    wanted
-        Returns the measurements to run, given the device information; unavailable ones are
-        skipped.
-    prepare
-        Called before the start with the measurements that the device offers.
-    farewell
-        Commands to send at the end, after stopping the measurements.
-    has_heart_rate
-        Whether the device sends its heart rate in this mode.
-    """
-
+    # Returns the measurements to run, given the device information; unavailable ones are skipped.
     wanted: Callable[[DeviceInfo], Sequence[Wanted]]
+    # Called before the start with the measurements that the device offers.
     prepare: Callable[[ControlPoint, frozenset[int]], Awaitable[None]] = _as_it_is
-    farewell: Sequence[bytes] = ()
-    has_heart_rate: bool = True
+    farewell: Sequence[bytes] = ()  # Commands to send at the end, after stopping the measurements.
+    has_heart_rate: bool = True  # Whether the device sends its heart rate in this mode.
 
 
 class PolarSession:

@@ -142,19 +142,13 @@ _ADVICE: Mapping[int, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A measurement to run.
-
-    Attributes
-    ----------
-    settings
-        Preferred value of each setting, at least the sample rate; empty for a measurement without
-        settings.
-    true_rates
-        Real sample rates by those that the firmware reports.
-    """
+    """A measurement to run."""
 
     measurement: Measurement
+    # Preferred value of each setting, at least the sample rate; empty for a measurement without
+    # settings.
     settings: Mapping[Setting, int] = field(default_factory=dict[Setting, int])
+    # Real sample rates by those that the firmware reports.
     true_rates: Mapping[int, int] = field(default_factory=dict[int, int])
 
 
@@ -173,19 +167,11 @@ class _Running:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A measurement that the device refuses to start.
-
-    Attributes
-    ----------
-    why
-        Its answer and what to do; a clause.
-    rate_hz
-        Rate that it would have; None for irregular samples.
-    """
+    """A measurement that the device refuses to start."""
 
     wanted: Wanted
-    why: str
-    rate_hz: int | None
+    why: str  # Its answer and what to do; a clause.
+    rate_hz: int | None  # Rate that it would have; None for irregular samples.
 
 
 class Measurements:

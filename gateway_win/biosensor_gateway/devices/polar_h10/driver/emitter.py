@@ -29,21 +29,11 @@ LEARNING_STEPS = 3
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A frame's times on the device's clock.
+    """A frame's times on the device's clock."""
 
-    Attributes
-    ----------
-    times_ns
-        Device clock of each sample, ascending.
-    lost
-        Number of samples missing before the frame.
-    steps_back
-        Whether the device's clock did not advance since the previous frame.
-    """
-
-    times_ns: list[int]
-    lost: int
-    steps_back: bool
+    times_ns: list[int]  # Device clock of each sample, ascending.
+    lost: int  # Number of samples missing before the frame.
+    steps_back: bool  # Whether the device's clock did not advance since the previous frame.
 
 
 class FrameTimeline:

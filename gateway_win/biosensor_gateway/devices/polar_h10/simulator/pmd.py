@@ -208,17 +208,10 @@ _ON_THE_SKIN = 0b110
 
 
 class PulseInterval(NamedTuple):
-    """One interval between two pulses.
+    """One interval between two pulses."""
 
-    Attributes
-    ----------
-    bpm
-        Heart rate [1/min].
-    interval_ms, error_ms
-        Length and its estimated error [ms].
-    """
-
-    bpm: int
+    bpm: int  # Heart rate [1/min].
+    # interval_ms, error_ms: length and its estimated error [ms].
     interval_ms: int
     error_ms: int
 

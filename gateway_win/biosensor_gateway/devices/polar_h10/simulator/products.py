@@ -41,57 +41,32 @@ _COMPRESSION = 2
 
 @dataclass(frozen=True)
 class Product:
-    """The properties of a product.
+    """The properties of a product."""
 
-    Attributes
-    ----------
-    advertised
-        Its advertised name, before the device id.
-    model, firmware
-        As in the Device Information service.
-    body_location
-        Value of 0x2A38.
-    sends_rr
-        Whether heart rate measurements contain R-R intervals.
-    settings
-        Measurements with their available settings, in the order of the reply.
-    start_parameters
-        Parameters of the reply to a start, if these are not a unit.
-    acc_format
-        Format byte of acceleration frames.
-    units
-        Size of one count [g, deg/s or gauss], for measurements with a single range.
-    units_per_range
-        Size of one count per unit of the chosen range, which the reply to a start contains.
-    ppg_format
-        Format byte of photoplethysmograms.
-    minimum_mtu
-        Starts over a link with a smaller ATT MTU fail.
-    sdk_settings
-        Measurements in SDK mode; empty if it does not have this mode.
-    true_rates
-        Real sample rates, by measurement and reported rate.
-    tells_contact
-        Whether heart rate measurements contain the skin contact.
-    """
-
-    advertised: str
+    advertised: str  # Its advertised name, before the device id.
+    # model, firmware: as in the Device Information service.
     model: str
     firmware: str
-    body_location: int
-    sends_rr: bool
+    body_location: int  # Value of 0x2A38.
+    sends_rr: bool  # Whether heart rate measurements contain R-R intervals.
+    # Measurements with their available settings, in the order of the reply.
     settings: Mapping[Measurement, Offered]
+    # Parameters of the reply to a start, if these are not a unit.
     start_parameters: Mapping[Measurement, bytes]
-    acc_format: int
+    acc_format: int  # Format byte of acceleration frames.
+    # Size of one count [g, deg/s or gauss], for measurements with a single range.
     units: Mapping[Measurement, float] = field(default_factory=dict[Measurement, float])
+    # Size of one count per unit of the chosen range, which the reply to a start contains.
     units_per_range: Mapping[Measurement, float] = field(default_factory=dict[Measurement, float])
-    ppg_format: int = PPG_OF_THREE_LEDS
-    minimum_mtu: int = 0
+    ppg_format: int = PPG_OF_THREE_LEDS  # Format byte of photoplethysmograms.
+    minimum_mtu: int = 0  # Starts over a link with a smaller ATT MTU fail.
+    # Measurements in SDK mode; empty if it does not have this mode.
     sdk_settings: Mapping[Measurement, Offered] = field(default_factory=dict[Measurement, Offered])
+    # Real sample rates, by measurement and reported rate.
     true_rates: Mapping[Measurement, Mapping[int, int]] = field(
         default_factory=dict[Measurement, Mapping[int, int]]
     )
-    tells_contact: bool = False
+    tells_contact: bool = False  # Whether heart rate measurements contain the skin contact.
 
     @property
     def features(self) -> frozenset[Measurement]:
@@ -158,66 +133,36 @@ class Firmware(Enum):
 
 @dataclass(frozen=True)
 class Quirks:
-    """Properties of a sensor that depend on firmware or circumstances.
-
-    Attributes
-    ----------
-    demands_pairing
-        The control point answers ATT error 0x05 until the host has paired.
-    left_streaming
-        Measurements that a previous host left running; they run from the first power-on.
-    keeps_streaming
-        Whether measurements continue when the link is lost.
-    announces_stops
-        A stop on command is followed by the packet that tells of a stop by the device.
-    short_errors
-        Whether error replies end after the status.
-    max_mtu
-        Largest ATT MTU that it accepts.
-    minimum_mtu
-        Starts over a link with a smaller ATT MTU are refused with INVALID_MTU.
-    compressed_acceleration
-        Whether acceleration is sent compressed, in mg.
-    first_intervals_s
-        Time from a start to the first pulse intervals; 25 s according to the vendor's documents.
-    """
+    """Properties of a sensor that depend on firmware or circumstances."""
 
     firmware: Firmware = Firmware.CURRENT
+    # The control point answers ATT error 0x05 until the host has paired.
     demands_pairing: bool = False
+    # Measurements that a previous host left running; they run from the first power-on.
     left_streaming: tuple[Measurement, ...] = ()
-    keeps_streaming: bool = False
+    keeps_streaming: bool = False  # Whether measurements continue when the link is lost.
+    # A stop on command is followed by the packet that tells of a stop by the device.
     announces_stops: bool = False
-    short_errors: bool = False
-    max_mtu: int = FULL_MTU
-    minimum_mtu: int = 0
-    compressed_acceleration: bool = False
+    short_errors: bool = False  # Whether error replies end after the status.
+    max_mtu: int = FULL_MTU  # Largest ATT MTU that it accepts.
+    minimum_mtu: int = 0  # Starts over a link with a smaller ATT MTU are refused with INVALID_MTU.
+    compressed_acceleration: bool = False  # Whether acceleration is sent compressed, in mg.
+    # Time from a start to the first pulse intervals; 25 s according to the vendor's documents.
     first_intervals_s: float = 25.0
 
 
 @dataclass(frozen=True)
 class Waveform:
-    """One measurement with its settings.
+    """One measurement with its settings."""
 
-    Attributes
-    ----------
-    data_name
-        Data name in the truth.
-    sample_bytes
-        Usual size of a sample in a frame.
-    unit
-        Size of one count in the declared unit.
-    counts
-        Returns counts, shape (n, channels), from the wearer's times [s] and whether the device is
-        worn.
-    frame
-        Returns a frame from the time of the last sample [ns] and the counts.
-    """
-
-    data_name: str
+    data_name: str  # Data name in the truth.
     rate_hz: int
-    sample_bytes: int
-    unit: float
+    sample_bytes: int  # Usual size of a sample in a frame.
+    unit: float  # Size of one count in the declared unit.
+    # Returns counts, shape (n, channels), from the wearer's times [s] and whether the device is
+    # worn.
     counts: Callable[[Floats, bool], Integers]
+    # Returns a frame from the time of the last sample [ns] and the counts.
     frame: Callable[[int, Integers], bytes]
 
     def planned(self, frame_bytes: int) -> int:

@@ -189,20 +189,11 @@ def _ranges(kind: Kind, present: Inquiry) -> dict[str, int]:
 
 
 class Wanted(NamedTuple):
-    """How to measure.
+    """How to measure."""
 
-    Attributes
-    ----------
-    sensors
-        Names of `SENSORS`; None keeps the current ones.
-    divisor
-        32768 Hz divided by the sample rate; None keeps the current one.
-    bits, gain, lead_off
-        Settings of the ExG, if it is in `sensors`.
-    """
-
-    sensors: frozenset[str] | None = None
-    divisor: int | None = None
+    sensors: frozenset[str] | None = None  # Names of `SENSORS`; None keeps the current ones.
+    divisor: int | None = None  # 32768 Hz divided by the sample rate; None keeps the current one.
+    # bits, gain, lead_off: settings of the ExG, if it is in `sensors`.
     bits: int = 24
     gain: int | None = None
     lead_off: bool = False
@@ -410,23 +401,15 @@ DRIVER = DriverEntry(Shimmer3Settings, _make, recognise=recognise)
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The setup of a device.
-
-    Attributes
-    ----------
-    divisor
-        The sample rate is 32768 Hz divided by it.
-    status_at
-        Positions of the status of both ExG chips; None without lead-off detection, so there is no
-        ``quality``.
-    denied
-        What the device refuses and why, by data name.
-    """
+    """The setup of a device."""
 
     layout: Layout
-    divisor: int
+    divisor: int  # The sample rate is 32768 Hz divided by it.
     signals: tuple[Signal, ...]
+    # Positions of the status of both ExG chips; None without lead-off detection, so there is no
+    # `quality`.
     status_at: tuple[int, int] | None = None
+    # What the device refuses and why, by data name.
     denied: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property

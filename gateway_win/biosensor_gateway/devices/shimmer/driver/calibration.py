@@ -133,17 +133,10 @@ def stored(memory: bytes, block: Block) -> Kinematic | None:
 
 @dataclass(frozen=True, slots=True)
 class Typical:
-    """Typical calibration of a chip for each setting of its range.
+    """Typical calibration of a chip for each setting of its range."""
 
-    Attributes
-    ----------
-    alignment
-        Orientation of the chip in the case.
-    sensitivity
-        Counts per unit by range setting; the first one is used for unknown settings.
-    """
-
-    alignment: _Rows
+    alignment: _Rows  # Orientation of the chip in the case.
+    # Counts per unit by range setting; the first one is used for unknown settings.
     sensitivity: Mapping[int, float | tuple[float, float, float]]
     offset: float = 0.0
 

@@ -35,22 +35,13 @@ _log = structlog.get_logger("biosensor_gateway.shimmer")
 
 
 class Prepared(NamedTuple):
-    """A device that is ready to start.
+    """A device that is ready to start."""
 
-    Attributes
-    ----------
-    layout, divisor
-        Layout of its data packets, and ticks between two packets.
-    begin
-        Prepares the emitter for packets of a new start.
-    connected
-        Information about its streams.
-    """
-
+    # layout, divisor: layout of its data packets, and ticks between two packets.
     layout: Layout
     divisor: int
-    begin: Callable[[], None]
-    connected: Connected = Connected()
+    begin: Callable[[], None]  # Prepares the emitter for packets of a new start.
+    connected: Connected = Connected()  # Information about its streams.
 
 
 class ShimmerDriver:

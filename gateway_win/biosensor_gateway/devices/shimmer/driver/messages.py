@@ -37,18 +37,10 @@ class Nack:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One sample of every channel.
+    """One sample of every channel."""
 
-    Attributes
-    ----------
-    ticks
-        Low 24 bits of the device's counter of 1/32768 s.
-    values
-        Raw values in the order of the inquiry.
-    """
-
-    ticks: int
-    values: tuple[int, ...]
+    ticks: int  # Low 24 bits of the device's counter of 1/32768 s.
+    values: tuple[int, ...]  # Raw values in the order of the inquiry.
 
 
 class StatusFlag(IntFlag):
@@ -171,21 +163,11 @@ class PressureCoefficients:
 
 @dataclass(frozen=True, slots=True)
 class Inquiry:
-    """The setup of the device.
+    """The setup of the device."""
 
-    Attributes
-    ----------
-    divisor
-        The sample rate is 32768 Hz divided by it.
-    setup
-        Configuration bytes: 4 for a Shimmer3 and 7 for a Shimmer3R.
-    channels
-        Channel ids in the order of a data packet.
-    """
-
-    divisor: int
-    setup: bytes
-    channels: tuple[int, ...]
+    divisor: int  # The sample rate is 32768 Hz divided by it.
+    setup: bytes  # Configuration bytes: 4 for a Shimmer3 and 7 for a Shimmer3R.
+    channels: tuple[int, ...]  # Channel ids in the order of a data packet.
 
     @property
     def expansion_power(self) -> bool:
@@ -262,21 +244,11 @@ _FIRMWARE_BODY = struct.Struct("<HHBB")
 
 @dataclass(frozen=True, slots=True)
 class ReplyForm:
-    """Formats that differ between devices.
+    """Formats that differ between devices."""
 
-    Attributes
-    ----------
-    setup_bytes
-        Configuration bytes of an inquiry: 7 on a Shimmer3R.
-    status_bytes
-        2 on a Shimmer3R from firmware 1.0.24 on.
-    calibration_blocks
-        Number of calibrated motion sensors: 6 on a Shimmer3R; 0 while calibrations are not
-        queried.
-    """
-
-    setup_bytes: int = 4
-    status_bytes: int = 1
+    setup_bytes: int = 4  # Configuration bytes of an inquiry: 7 on a Shimmer3R.
+    status_bytes: int = 1  # 2 on a Shimmer3R from firmware 1.0.24 on.
+    # Number of calibrated motion sensors: 6 on a Shimmer3R; 0 while calibrations are not queried.
     calibration_blocks: int = 4
 
 

@@ -52,18 +52,11 @@ counter is within it by chance in one of 256 cases."""
 
 
 class Placed(NamedTuple):
-    """The time of a packet.
-
-    Attributes
-    ----------
-    lost
-        Number of samples lost right before it.
-    restarted
-        Whether the counter was restarted, so earlier times are unrelated to later ones.
-    """
+    """The time of a packet."""
 
     time_s: float
-    lost: int
+    lost: int  # Number of samples lost right before it.
+    # Whether the counter was restarted, so earlier times are unrelated to later ones.
     restarted: bool = False
 
 
@@ -119,18 +112,10 @@ class TickTimeline:
 
 
 class Batch(NamedTuple):
-    """Samples of one read, oldest first.
+    """Samples of one read, oldest first."""
 
-    Attributes
-    ----------
-    rows
-        Raw values of each packet, in packet order.
-    times
-        Device time of each packet [s].
-    """
-
-    rows: Sequence[tuple[int, ...]]
-    times: Sequence[float]
+    rows: Sequence[tuple[int, ...]]  # Raw values of each packet, in packet order.
+    times: Sequence[float]  # Device time of each packet [s].
 
 
 class PacketEmitter(ABC):

@@ -30,35 +30,19 @@ _DUMMY = b"\x01"
 
 
 class Sensor(NamedTuple):
-    """A sensor that can be switched on.
-
-    Attributes
-    ----------
-    channels
-        Its channels in each packet.
-    """
+    """A sensor that can be switched on."""
 
     mask: int
-    channels: frozenset[Channel]
+    channels: frozenset[Channel]  # Its channels in each packet.
 
 
 class Motion(NamedTuple):
-    """A three-axis motion sensor.
-
-    Attributes
-    ----------
-    axes
-        Channels of X, Y, Z.
-    block
-        Index of its calibration.
-    units
-        Number of calibration units per unit of the stream.
-    """
+    """A three-axis motion sensor."""
 
     mask: int
-    axes: tuple[Channel, Channel, Channel]
-    block: Block
-    units: float = 1.0
+    axes: tuple[Channel, Channel, Channel]  # Channels of X, Y, Z.
+    block: Block  # Index of its calibration.
+    units: float = 1.0  # Number of calibration units per unit of the stream.
 
 
 MOTION = {
@@ -107,18 +91,11 @@ def sensor(name: str, bits: int) -> Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A stream with a sample in each packet.
-
-    Attributes
-    ----------
-    at
-        Positions of its channels in a packet.
-    convert
-        Converts their values, shape (n, channels), to samples of the stream.
-    """
+    """A stream with a sample in each packet."""
 
     data_name: str
-    at: tuple[int, ...]
+    at: tuple[int, ...]  # Positions of its channels in a packet.
+    # Converts their values, shape (n, channels), to samples of the stream.
     convert: Callable[[Floats], Floats]
 
 

@@ -49,15 +49,9 @@ _RAIL_MV = 350.0
 
 @dataclass(frozen=True)
 class ExgChips:
-    """Both chips while they measure.
+    """Both chips while they measure."""
 
-    Attributes
-    ----------
-    registers
-        Ten registers of each chip.
-    """
-
-    registers: Sequence[bytes]
+    registers: Sequence[bytes]  # Ten registers of each chip.
 
     @property
     def is_emg(self) -> bool:
@@ -231,31 +225,17 @@ class MotionSensor:
 
     If calibrated, it reads ``K R v + b`` for a quantity v; the 21-byte block in a unit's memory
     contains b and K as words and R in hundredths.
-
-    Attributes
-    ----------
-    channels
-        Channel ids of X, Y, Z.
-    offset, sensitivity
-        b, and the diagonal of K in counts per unit.
-    alignment
-        R, row by row.
-    per_unit
-        Number of its units (m/s^2, deg/s, local flux) per unit of the stream.
-    limits
-        Smallest and largest count.
-    word_scale
-        Factor of the sensitivity in memory.
     """
 
     data_name: str
-    channels: tuple[int, int, int]
+    channels: tuple[int, int, int]  # Channel ids of X, Y, Z.
+    # offset, sensitivity: b, and the diagonal of K in counts per unit.
     offset: Triple
     sensitivity: Triple
-    alignment: tuple[Triple, Triple, Triple]
-    per_unit: float = 1.0
-    limits: tuple[int, int] = (-32768, 32767)
-    word_scale: int = 1
+    alignment: tuple[Triple, Triple, Triple]  # R, row by row.
+    per_unit: float = 1.0  # Number of its units (m/s^2, deg/s, local flux) per unit of the stream.
+    limits: tuple[int, int] = (-32768, 32767)  # Smallest and largest count.
+    word_scale: int = 1  # Factor of the sensitivity in memory.
 
     @property
     def block(self) -> bytes:

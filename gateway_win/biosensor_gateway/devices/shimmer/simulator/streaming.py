@@ -25,17 +25,10 @@ _BLOCK_S = 0.1
 
 
 class Block(NamedTuple):
-    """A block of samples measured together.
+    """A block of samples measured together."""
 
-    Attributes
-    ----------
-    rows
-        Counts of each sample, one per channel in packet order.
-    values
-        The same samples by data name in declared units, with one value per channel of the stream.
-    """
-
-    rows: Sequence[tuple[int, ...]]
+    rows: Sequence[tuple[int, ...]]  # Counts of each sample, one per channel in packet order.
+    # The same samples by data name in declared units, with one value per channel of the stream.
     values: Mapping[str, Sequence[tuple[float, ...]]]
 
 
@@ -48,49 +41,27 @@ class Meter(Protocol):
 
 
 class Sample(NamedTuple):
-    """One sample of all channels.
+    """One sample of all channels."""
 
-    Attributes
-    ----------
-    measured_s, leaves_s
-        LSL times of measurement and of sending.
-    packet
-        Its data packet without checksum.
-    values
-        Contents of the packet by data name, in declared units.
-    """
-
+    # measured_s, leaves_s: LSL times of measurement and of sending.
     measured_s: float
     leaves_s: float
-    packet: bytes
+    packet: bytes  # Its data packet without checksum.
+    # Contents of the packet by data name, in declared units.
     values: Mapping[str, tuple[float, ...]]
 
 
 class Sampling(NamedTuple):
-    """The parameters of a stream.
+    """The parameters of a stream."""
 
-    Attributes
-    ----------
-    channels
-        Channel ids in packet order.
-    divider
-        Ticks between two samples.
-    meter
-        Called once per block, ten times a second.
-    wearer_born_s
-        LSL time at which the wearer's time is 0.
-    oscillator, first_tick
-        The oscillator, and its tick count at power-on.
-    rng, jitter_s
-        Random generator and maximum of the radio's uniform delay.
-    """
-
-    channels: tuple[int, ...]
-    divider: int
-    meter: Meter
-    wearer_born_s: float
+    channels: tuple[int, ...]  # Channel ids in packet order.
+    divider: int  # Ticks between two samples.
+    meter: Meter  # Called once per block, ten times a second.
+    wearer_born_s: float  # LSL time at which the wearer's time is 0.
+    # oscillator, first_tick: the oscillator, and its tick count at power-on.
     oscillator: Oscillator
     first_tick: int
+    # rng, jitter_s: random generator and maximum of the radio's uniform delay.
     rng: np.random.Generator
     jitter_s: float
     model: Model = SHIMMER3

@@ -287,22 +287,12 @@ _SENSORS_OF_3R = (
 
 
 class Model(NamedTuple):
-    """Formats that differ between devices.
+    """Formats that differ between devices."""
 
-    Attributes
-    ----------
-    hardware
-        3 for a Shimmer3, 10 for a Shimmer3R.
-    sensors
-        Sensors in packet order.
-    widths
-        Widths in bytes of channels that do not have two.
-    """
-
-    hardware: int
-    sensors: tuple[_Sensor, ...]
+    hardware: int  # 3 for a Shimmer3, 10 for a Shimmer3R.
+    sensors: tuple[_Sensor, ...]  # Sensors in packet order.
     big_endian: frozenset[int]
-    widths: Mapping[int, int]
+    widths: Mapping[int, int]  # Widths in bytes of channels that do not have two.
 
 
 SHIMMER3 = Model(3, _SENSORS, _BIG_ENDIAN, _WIDTHS)
@@ -351,22 +341,16 @@ def _encoded(channel: int, value: int, model: Model) -> bytes:
 
 @dataclass(frozen=True)
 class Memory:
-    """Data written in the factory.
-
-    Attributes
-    ----------
-    card
-        Number, revision and special revision of the expansion board.
-    calibration
-        Blocks of 21 bytes: low-noise accelerometer, gyroscope, magnetometer, wide-range
-        accelerometer; two more on a Shimmer3R.
-    pressure_chip, pressure_coefficients
-        0 BMP180, 1 BMP280, 2 BMP390, 3 BMP581, and its coefficients.
-    """
+    """Data written in the factory."""
 
     model: Model = SHIMMER3
+    # Number, revision and special revision of the expansion board.
     card: tuple[int, int, int] = (48, 4, 0)
+    # Blocks of 21 bytes: low-noise accelerometer, gyroscope, magnetometer, wide-range
+    # accelerometer; two more on a Shimmer3R.
     calibration: bytes = _LN_ACCEL_ALONE
+    # pressure_chip, pressure_coefficients: 0 BMP180, 1 BMP280, 2 BMP390, 3 BMP581, and its
+    # coefficients.
     pressure_chip: int = BMP280
     pressure_coefficients: bytes = b"\xff" * 24
 
@@ -378,27 +362,15 @@ class Memory:
 
 @dataclass
 class Flash:
-    """Settings that a Shimmer keeps without power.
+    """Settings that a Shimmer keeps without power."""
 
-    Attributes
-    ----------
-    name
-        Name of the unit, at most 12 ASCII characters.
-    sensors
-        Sensor mask of 24 bits.
-    divider
-        Ticks of 1/32768 s between two samples.
-    setup
-        Configuration bytes, seven on a Shimmer3R; the fourth contains the expansion power (bit 0)
-        and the range of the skin conductance (bits 1 to 3).
-    exg
-        Ten registers of each ExG chip.
-    """
-
-    name: str = "Shimmer_4E5F"
-    sensors: int = 0x000080
-    divider: int = 640
+    name: str = "Shimmer_4E5F"  # Name of the unit, at most 12 ASCII characters.
+    sensors: int = 0x000080  # Sensor mask of 24 bits.
+    divider: int = 640  # Ticks of 1/32768 s between two samples.
+    # Configuration bytes, seven on a Shimmer3R; the fourth contains the expansion power (bit 0) and
+    # the range of the skin conductance (bits 1 to 3).
     setup: bytearray = field(default_factory=lambda: bytearray.fromhex("01ff0100"))
+    # Ten registers of each ExG chip.
     exg: list[bytearray] = field(default_factory=lambda: [bytearray(REGISTERS) for _ in (1, 2)])
 
     @property

@@ -295,21 +295,12 @@ def clamped_kohm(resistance: ArrayLike, setting: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The setup of a device.
-
-    Attributes
-    ----------
-    divisor
-        The sample rate is 32768 Hz divided by it.
-    gsr_setting
-        Feedback resistor, 4 for automatic.
-    denied
-        What the device refuses and why, by data name.
-    """
+    """The setup of a device."""
 
     layout: Layout
-    divisor: int
-    gsr_setting: int
+    divisor: int  # The sample rate is 32768 Hz divided by it.
+    gsr_setting: int  # Feedback resistor, 4 for automatic.
+    # What the device refuses and why, by data name.
     denied: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property

@@ -40,43 +40,23 @@ _TRUSTED_STEPS = 3
 
 
 class Arrived(NamedTuple):
-    """A measurement without a time yet.
-
-    Attributes
-    ----------
-    samples
-        Number of samples per channel, at least 1.
-    waited_s
-        How long it may have waited for a busy computer.
-    is_behind_pause
-        Whether it arrived later than the duration of its samples.
-    """
+    """A measurement without a time yet."""
 
     measurement: Measurement
-    samples: int
+    samples: int  # Number of samples per channel, at least 1.
     arrival_s: float
-    waited_s: float = 0.0
-    is_behind_pause: bool = False
+    waited_s: float = 0.0  # How long it may have waited for a busy computer.
+    is_behind_pause: bool = False  # Whether it arrived later than the duration of its samples.
 
 
 class Placed(NamedTuple):
-    """A measurement with its time on the device's clock.
-
-    Attributes
-    ----------
-    last_s
-        Device time of the last sample.
-    lost
-        Estimated number of samples missing before it.
-    is_first
-        Whether it is the first one after a start, whose time relative to earlier ones is not
-        exact.
-    """
+    """A measurement with its time on the device's clock."""
 
     measurement: Measurement
     arrival_s: float
-    last_s: float
-    lost: int
+    last_s: float  # Device time of the last sample.
+    lost: int  # Estimated number of samples missing before it.
+    # Whether it is the first one after a start, whose time relative to earlier ones is not exact.
     is_first: bool = False
 
 

@@ -39,39 +39,22 @@ class MeasurementKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """Answer to a command.
+    """Answer to a command."""
 
-    Attributes
-    ----------
-    counter
-        The device's packet counter, 0 to 255.
-    command
-        Id of the answered command.
-    echo
-        Counter of the answered command.
-    """
-
-    counter: int
-    command: int
-    echo: int
+    counter: int  # The device's packet counter, 0 to 255.
+    command: int  # Id of the answered command.
+    echo: int  # Counter of the answered command.
     payload: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Samples of one or more channels, oldest first.
+    """Samples of one or more channels, oldest first."""
 
-    Attributes
-    ----------
-    counter
-        The device's packet counter, 0 to 255.
-    samples
-        By channel number, in the channel's unit; NaN is "no value". All channels
-        have the same number of samples.
-    """
-
-    counter: int
+    counter: int  # The device's packet counter, 0 to 255.
     kind: MeasurementKind
+    # By channel number, in the channel's unit; NaN is "no value". All channels have the same number
+    # of samples.
     samples: Mapping[int, tuple[float, ...]]
 
 
@@ -103,22 +86,12 @@ REFUSED = 0x33
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """State of the belt.
+    """State of the belt."""
 
-    Attributes
-    ----------
-    firmware
-        Version of the main processor, ``major.minor.build``.
-    ble_firmware
-        Version of the radio.
-    charger
-        0 idle, 1 charging, 2 complete, 3 error.
-    """
-
-    firmware: str
-    ble_firmware: str
+    firmware: str  # Version of the main processor, `major.minor.build`.
+    ble_firmware: str  # Version of the radio.
     battery_percent: int
-    charger: int
+    charger: int  # 0 idle, 1 charging, 2 complete, 3 error.
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,19 +107,12 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """Description of a channel.
-
-    Attributes
-    ----------
-    unit
-        As sent by the device; may be empty.
-    min_period_us, max_period_us, granularity_us
-        Possible sample periods.
-    """
+    """Description of a channel."""
 
     number: int
     description: str
-    unit: str
+    unit: str  # As sent by the device; may be empty.
+    # min_period_us, max_period_us, granularity_us: possible sample periods.
     min_period_us: int
     max_period_us: int
     granularity_us: int
@@ -218,16 +184,10 @@ _FROM_DEVICE = frozenset({Head.REPLY, Head.MEASUREMENT})
 
 
 class Packet(NamedTuple):
-    """A packet with a correct checksum.
-
-    Attributes
-    ----------
-    counter
-        The sender's counter, one byte.
-    """
+    """A packet with a correct checksum."""
 
     head: Head
-    counter: int
+    counter: int  # The sender's counter, one byte.
     data: bytes
 
 

@@ -46,21 +46,11 @@ _USUALLY_LATE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A packet's times on the device's clock.
+    """A packet's times on the device's clock."""
 
-    Attributes
-    ----------
-    stamp_s
-        The packet's own timestamp.
-    first_s
-        Time of its first sample, with evenly spaced samples.
-    lost_packets
-        Number of packets lost before it.
-    """
-
-    stamp_s: float
-    first_s: float
-    lost_packets: int
+    stamp_s: float  # The packet's own timestamp.
+    first_s: float  # Time of its first sample, with evenly spaced samples.
+    lost_packets: int  # Number of packets lost before it.
 
 
 class PacketTrack:

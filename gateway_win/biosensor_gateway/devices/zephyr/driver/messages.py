@@ -189,18 +189,10 @@ _EPOCH = dt.datetime(2000, 1, 1)  # noqa: DTZ001 - the device's clock is naive l
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header of periodic packets.
+    """The header of periodic packets."""
 
-    Attributes
-    ----------
-    sequence
-        Counter of packets of one kind, 0-255.
-    time
-        Device clock, naive local time of the first sample; None if not set.
-    """
-
-    sequence: int
-    time: dt.datetime | None
+    sequence: int  # Counter of packets of one kind, 0-255.
+    time: dt.datetime | None  # Device clock, naive local time of the first sample; None if not set.
 
     @property
     def device_s(self) -> float | None:
@@ -279,24 +271,16 @@ _STATUS_BITS = (
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Vital signs, once a second.
-
-    Attributes
-    ----------
-    numbers
-        Decoded numbers by name, unit in the name, None where invalid.
-    rog_status, rog_time_s
-        "Red orange green" state of the wearer and the seconds spent in it.
-    extra
-        GPS and movement bit fields of version 3, empty in version 2.
-    """
+    """Vital signs, once a second."""
 
     header: Header
     version: int
-    numbers: dict[str, Number]
+    numbers: dict[str, Number]  # Decoded numbers by name, unit in the name, None where invalid.
     status: Status
+    # rog_status, rog_time_s: "Red orange green" state of the wearer and the seconds spent in it.
     rog_status: str
     rog_time_s: int
+    # GPS and movement bit fields of version 3, empty in version 2.
     extra: dict[str, dict[str, int | float]]
 
 

@@ -40,39 +40,18 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Outgoing:
-    """One frame of a source, with its contents.
+    """One frame of a source, with its contents."""
 
-    Attributes
-    ----------
-    data
-        The frame's bytes, or recorded invalid bytes.
-    packet
-        Its kind; None for invalid bytes and unknown message ids.
-    sequence
-        Packet number since power-on, not wrapped; the frame contains its low 8 bits.
-    stamp
-        The device's time in the frame.
-    measured_at
-        LSL time of its first sample, or of the whole summary [s].
-    period_s
-        True sample period [s].
-    first_index
-        Number of its first sample since power-on.
-    samples
-        Shape (samples, channels); as from `Inputs.samples`.
-    values
-        Fields of a summary or general data packet.
-    """
-
-    data: bytes
-    packet: Packet | None = None
+    data: bytes  # The frame's bytes, or recorded invalid bytes.
+    packet: Packet | None = None  # Its kind; None for invalid bytes and unknown message ids.
+    # Packet number since power-on, not wrapped; the frame contains its low 8 bits.
     sequence: int | None = None
-    stamp: DeviceStamp | None = None
-    measured_at: float | None = None
-    period_s: float | None = None
-    first_index: int | None = None
-    samples: Integers | None = None
-    values: Values | None = None
+    stamp: DeviceStamp | None = None  # The device's time in the frame.
+    measured_at: float | None = None  # LSL time of its first sample, or of the whole summary [s].
+    period_s: float | None = None  # True sample period [s].
+    first_index: int | None = None  # Number of its first sample since power-on.
+    samples: Integers | None = None  # Shape (samples, channels); as from `Inputs.samples`.
+    values: Values | None = None  # Fields of a summary or general data packet.
 
 
 class Source(Protocol):

@@ -86,22 +86,13 @@ _SIZES = {
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """One packet of a reply.
+    """One packet of a reply."""
 
-    Attributes
-    ----------
-    operation, measurement
-        Operation and measurement of the command.
-    status
-        One of `Status`, or an unknown code.
-    more
-        Whether further packets follow, whose parameters continue these.
-    """
-
+    # operation, measurement: operation and measurement of the command.
     operation: int
     measurement: int
-    status: int
-    more: bool = False
+    status: int  # One of `Status`, or an unknown code.
+    more: bool = False  # Whether further packets follow, whose parameters continue these.
     parameters: bytes = b""
 
     @property

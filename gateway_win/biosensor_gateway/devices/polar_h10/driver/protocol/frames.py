@@ -75,21 +75,12 @@ def _deltas(payload: bytes, bits: int, count: int, channels: int) -> Iterator[li
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header of a frame.
+    """The header of a frame."""
 
-    Attributes
-    ----------
-    measurement
-        One of `Measurement`, or an unknown number.
-    timestamp_ns
-        Device time of the last sample [ns since 2000-01-01, if the clock was ever set].
-    frame_type
-        Layout of the samples; compressed from 0x80 on.
-    """
-
-    measurement: int
+    measurement: int  # One of `Measurement`, or an unknown number.
+    # Device time of the last sample [ns since 2000-01-01, if the clock was ever set].
     timestamp_ns: int
-    frame_type: int
+    frame_type: int  # Layout of the samples; compressed from 0x80 on.
 
     @property
     def compressed(self) -> bool:
@@ -170,23 +161,14 @@ class Ppg:
 
 @dataclass(frozen=True, slots=True)
 class PulseInterval:
-    """Interval between two pulse waves, measured by an optical sensor.
-
-    Attributes
-    ----------
-    interval_ms, error_ms
-        The interval and the device's estimate of its error.
-    moved
-        Whether the device flags the interval as invalid because of movement.
-    contact
-        Whether there is skin contact; None if not reported.
-    """
+    """Interval between two pulse waves, measured by an optical sensor."""
 
     bpm: int
+    # interval_ms, error_ms: the interval and the device's estimate of its error.
     interval_ms: int
     error_ms: int
-    moved: bool
-    contact: bool | None
+    moved: bool  # Whether the device flags the interval as invalid because of movement.
+    contact: bool | None  # Whether there is skin contact; None if not reported.
 
     @property
     def is_valid(self) -> bool:
