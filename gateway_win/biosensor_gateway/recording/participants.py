@@ -34,21 +34,11 @@ class Worn(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """A file whose name and sensors have different participants.
+    """A file whose name and sensors have different participants."""
 
-    Attributes
-    ----------
-    named
-        Participant in the file's name.
-    others
-        Other participants who wear its sensors.
-    is_all
-        Whether `named` wears none of its sensors.
-    """
-
-    named: str
-    others: tuple[str, ...]
-    is_all: bool
+    named: str  # Participant in the file's name.
+    others: tuple[str, ...]  # Other participants who wear its sensors.
+    is_all: bool  # Whether `named` wears none of its sensors.
     sentence: str
 
 

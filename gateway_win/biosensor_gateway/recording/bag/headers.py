@@ -34,36 +34,21 @@ TOPIC = "/biosensors/recorded_streams"
 # The topics of devices have more than two parts and never begin like this.
 @dataclass(frozen=True, slots=True)
 class RecordedClock:
-    """The start time and the clock of the recording.
+    """The start time and the clock of the recording."""
 
-    Attributes
-    ----------
-    begun
-        The recorder's text for the start time.
-    wall
-        Relation between the recorder's LSL clock and Unix time.
-    """
-
-    begun: str
-    wall: WallClock
+    begun: str  # The recorder's text for the start time.
+    wall: WallClock  # Relation between the recorder's LSL clock and Unix time.
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedStream:
-    """One stream of the recording.
-
-    Attributes
-    ----------
-    stamped
-        The topic that has its samples with timestamps.
-    clock_offsets
-        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
-    """
+    """One stream of the recording."""
 
     number: int
-    stamped: str
+    stamped: str  # The topic that has its samples with timestamps.
     topics: tuple[str, ...]
     xml: str
+    # Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
     clock_offsets: tuple[tuple[float, float], ...]
 
 
@@ -142,28 +127,16 @@ _FORMATS = {
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the samples of a stream come from.
-
-    Attributes
-    ----------
-    stamp_source
-        Origin of the timestamps: ``header`` or ``log``.
-    """
+    """Where the samples of a stream come from."""
 
     topic: str
     type_name: str
-    stamp_source: str
+    stamp_source: str  # Origin of the timestamps: `header` or `log`.
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What is known about a stream.
-
-    Attributes
-    ----------
-    block
-        The ``<biosensor>`` data of one of our streams; empty for another program's.
-    """
+    """What is known about a stream."""
 
     name: str
     content_type: str
@@ -173,6 +146,7 @@ class Facts:
     format: ChannelFormat
     labels: tuple[str, ...]
     units: tuple[str, ...] = ()
+    # The `<biosensor>` data of one of our streams; empty for another program's.
     block: tuple[tuple[str, str], ...] = ()
 
 

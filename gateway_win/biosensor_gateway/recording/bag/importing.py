@@ -49,27 +49,15 @@ _LIST_TYPE, _LIST_END = "diagnostic_msgs/msg/DiagnosticArray", "/streams"
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """The result of importing a bag.
+    """The result of importing a bag."""
 
-    Attributes
-    ----------
-    path, written
-        The bag and the recording.
-    streams
-        Name of the topic and number of samples of each stream.
-    left_out
-        Why a topic is not in the recording, by its name.
-    damages
-        Sentences about what could not be read.
-    guess
-        A sentence about information on streams that is missing in the bag; empty if nothing is.
-    """
-
+    # path, written: the bag and the recording.
     path: Path
     written: Path
-    streams: tuple[tuple[str, int], ...]
-    left_out: Mapping[str, str]
-    damages: tuple[str, ...]
+    streams: tuple[tuple[str, int], ...]  # Name of the topic and number of samples of each stream.
+    left_out: Mapping[str, str]  # Why a topic is not in the recording, by its name.
+    damages: tuple[str, ...]  # Sentences about what could not be read.
+    # A sentence about information on streams that is missing in the bag; empty if nothing is.
     guess: str
 
 
@@ -227,24 +215,16 @@ def wall_pairs(wall: WallClock) -> list[ClockPair]:
 
 @dataclass(slots=True)
 class Survey:
-    """What is known about a bag before its samples are read.
+    """What is known about a bag before its samples are read."""
 
-    Attributes
-    ----------
-    topics
-        Topics with messages, by name.
-    begin_ns
-        Unix time of the earliest message.
-    clock, recorded
-        Clock of the recording that it was exported from, and its streams by stamped topic.
-    facts
-        The node's list of streams, by stamped topic.
-    """
-
+    # Topics with messages, by name.
     topics: dict[str, Topic] = field(default_factory=dict[str, Topic])
-    begin_ns: int = 0
+    begin_ns: int = 0  # Unix time of the earliest message.
+    # clock, recorded: clock of the recording that it was exported from, and its streams by stamped
+    # topic.
     clock: RecordedClock | None = None
     recorded: dict[str, RecordedStream] = field(default_factory=dict[str, RecordedStream])
+    # The node's list of streams, by stamped topic.
     facts: dict[str, Facts] = field(default_factory=dict[str, Facts])
     damages: list[str] = field(default_factory=list[str])
 

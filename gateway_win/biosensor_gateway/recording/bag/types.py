@@ -53,25 +53,14 @@ class UnsuitableError(MessageError):
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a bag.
-
-    Attributes
-    ----------
-    type_name
-        Type of its messages, such as ``sensor_msgs/msg/Imu``.
-    encoding
-        Language of `definition`: ``ros2msg``, ``ros2idl``, or empty.
-    definition
-        Definition of the type and all types in it; empty if the bag does not contain it.
-    qos
-        QoS profiles of its publishers, as YAML.
-    """
+    """A topic of a bag."""
 
     name: str
-    type_name: str
-    encoding: str = ""
+    type_name: str  # Type of its messages, such as `sensor_msgs/msg/Imu`.
+    encoding: str = ""  # Language of `definition`: `ros2msg`, `ros2idl`, or empty.
+    # Definition of the type and all types in it; empty if the bag does not contain it.
     definition: str = ""
-    qos: str = ""
+    qos: str = ""  # QoS profiles of its publishers, as YAML.
 
 
 class Message(NamedTuple):

@@ -42,47 +42,28 @@ BATCH = 1 << 14
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """A selection from a recording, as typed by the user.
+    """A selection from a recording, as typed by the user."""
 
-    Attributes
-    ----------
-    streams
-        Names or source_ids, with ``*`` and ``?``; none for all.
-    begin, end
-        Seconds since the start of the recording, ``h:mm:ss``, or a date and time of day such as
-        ``2026-03-14T10:30:00``; empty for the start and end of the recording.
-    participant
-        Only streams of this participant; empty for all streams.
-    without
-        Leave out streams of this participant.
-    """
-
-    streams: Sequence[str] = ()
+    streams: Sequence[str] = ()  # Names or source_ids, with `*` and `?`; none for all.
+    # begin, end: seconds since the start of the recording, `h:mm:ss`, or a date and time of day
+    # such as `2026-03-14T10:30:00`; empty for the start and end of the recording.
     begin: str = ""
     end: str = ""
-    participant: str = ""
-    without: str = ""
+    participant: str = ""  # Only streams of this participant; empty for all streams.
+    without: str = ""  # Leave out streams of this participant.
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Selected streams and a time range of an open recording.
-
-    Attributes
-    ----------
-    streams
-        In the order of the file, including streams without samples.
-    begin_s, end_s
-        On the recorder's LSL clock; `end_s` is excluded, and infinite for the whole rest.
-    batch
-        Number of values that exports process at once.
-    """
+    """Selected streams and a time range of an open recording."""
 
     contents: Contents
-    streams: tuple[Stream, ...]
+    streams: tuple[Stream, ...]  # In the order of the file, including streams without samples.
+    # begin_s, end_s: on the recorder's LSL clock; `end_s` is excluded, and infinite for the whole
+    # rest.
     begin_s: float
     end_s: float
-    batch: int = BATCH
+    batch: int = BATCH  # Number of values that exports process at once.
 
     def samples(self, stream: Stream) -> Iterator[Samples]:
         """Yield the samples of one stream in the time range, chunk by chunk."""

@@ -21,31 +21,18 @@ from biosensor_gateway.recording.xdf.stream_rules import MIN_SAMPLES_FOR_RATE, W
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """An open recording.
-
-    Attributes
-    ----------
-    begun
-        The recorder's text for the start time; empty if there is none.
-    streams
-        In the order of their headers, including streams without samples.
-    damages
-        Bytes that could not be read.
-    begin_s, end_s
-        Times of the first and last sample on the recorder's LSL clock, in s; 0 without samples.
-        Streams about the state of a device, which may be older than the recording, and streams on
-        another clock count only if there are no others.
-    wall
-        Relation to the time of day; None if unknown.
-    """
+    """An open recording."""
 
     path: Path
-    begun: str
-    streams: tuple[Stream, ...]
-    damages: tuple[Damage, ...]
+    begun: str  # The recorder's text for the start time; empty if there is none.
+    streams: tuple[Stream, ...]  # In the order of their headers, including streams without samples.
+    damages: tuple[Damage, ...]  # Bytes that could not be read.
+    # begin_s, end_s: times of the first and last sample on the recorder's LSL clock, in s; 0
+    # without samples. Streams about the state of a device, which may be older than the recording,
+    # and streams on another clock count only if there are no others.
     begin_s: float
     end_s: float
-    wall: WallClock | None
+    wall: WallClock | None  # Relation to the time of day; None if unknown.
 
     @property
     def of_other_agents(self) -> list[str]:

@@ -36,52 +36,30 @@ from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 
 class Place(NamedTuple):
-    """The index entry of one chunk of samples.
+    """The index entry of one chunk of samples."""
 
-    Attributes
-    ----------
-    start, end
-        Offsets of its content in the file, without the stream's number, `end` excluded.
-    before
-        Timestamp of the previous sample, from which omitted timestamps are computed.
-    first, last
-        Timestamps of its first and last sample, on the stream's own clock, in s.
-    offsets_before
-        Number of clock offsets of the stream before it in the file.
-    """
-
+    # start, end: offsets of its content in the file, without the stream's number, `end` excluded.
     start: int
     end: int
-    before: float
+    before: float  # Timestamp of the previous sample, from which omitted timestamps are computed.
+    # first, last: timestamps of its first and last sample, on the stream's own clock, in s.
     first: float
     last: float
-    offsets_before: int
+    offsets_before: int  # Number of clock offsets of the stream before it in the file.
 
 
 @dataclass(slots=True)
 class IndexedStream:
-    """One stream of a recording, with the index of its samples.
-
-    Attributes
-    ----------
-    clock_offsets
-        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
-    footer
-        None if the recorder did not write one.
-    guessed_texts
-        Number of texts that are not UTF-8, so their encoding was guessed.
-    untimed
-        Number of samples with a NaN or infinite timestamp.
-    earliest, latest
-        Range of the other timestamps.
-    """
+    """One stream of a recording, with the index of its samples."""
 
     header: RecordedHeader
+    # Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s.
     clock_offsets: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
-    footer: Footer | None = None
+    footer: Footer | None = None  # None if the recorder did not write one.
     sample_count: int = 0
-    guessed_texts: int = 0
-    untimed: int = 0
+    guessed_texts: int = 0  # Number of texts that are not UTF-8, so their encoding was guessed.
+    untimed: int = 0  # Number of samples with a NaN or infinite timestamp.
+    # earliest, latest: range of the other timestamps.
     earliest: float = np.inf
     latest: float = -np.inf
     # Arrays instead of a list of places, because a day has millions of chunks.

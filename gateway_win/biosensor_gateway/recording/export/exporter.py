@@ -54,30 +54,20 @@ class Times(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Options of an export.
-
-    Attributes
-    ----------
-    name
-        Base name of the output: the recording's name without its suffix.
-    task, session
-        Task and session, for formats that contain them; empty to take them from `name`.
-    participant
-        Participant of all data, overriding the recorded ones; empty to keep these.
-    is_wide
-        Whether to write additional tables with all streams of a rate side by side.
-    notes
-        Sentences about its streams that hold for any format.
-    """
+    """Options of an export."""
 
     clock: Clock
-    name: str
+    name: str  # Base name of the output: the recording's name without its suffix.
+    # task, session: task and session, for formats that contain them; empty to take them from
+    # `name`.
     task: str = ""
     session: str = ""
+    # Participant of all data, overriding the recorded ones; empty to keep these.
     participant: str = ""
     times: Times = Times.RECORDED
+    # Whether to write additional tables with all streams of a rate side by side.
     is_wide: bool = False
-    notes: Sequence[str] = ()
+    notes: Sequence[str] = ()  # Sentences about its streams that hold for any format.
 
 
 class Missing(str):
@@ -198,18 +188,10 @@ GROWTH: Mapping[str, float] = {
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Seconds since the first sample of a selection, on one of the clocks.
+    """Seconds since the first sample of a selection, on one of the clocks."""
 
-    Attributes
-    ----------
-    zero_s
-        The zero on the recorder's LSL clock.
-    zero_unix_ns
-        Its Unix time; None if unknown.
-    """
-
-    zero_s: float
-    zero_unix_ns: int | None
+    zero_s: float  # The zero on the recorder's LSL clock.
+    zero_unix_ns: int | None  # Its Unix time; None if unknown.
     _wall: WallClock | None
 
     @property

@@ -50,38 +50,25 @@ _SUFFIXES = (".gz", ".xdfz", ".xdf")
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Options of an export, as given by the user.
+    """Options of an export, as given by the user."""
 
-    Attributes
-    ----------
-    formats
-        Names in ``FORMATS``.
-    output
-        An existing folder, or for a single format the file or folder itself; None for the
-        recording's folder.
-    task, session
-        Task and session, for formats that contain them; empty to take them from the file name.
-    whose
-        Which participant is right, that of the file name or of the sensors; None if undecided.
-    batch
-        Number of values processed at once; results do not depend on it.
-    is_wide
-        Whether ``csv`` should also contain a table per rate.
-    rates
-        Rates in Hz of streams whose headers name none; by name or source_id, with ``*`` and ``?``.
-    """
-
-    formats: Sequence[str]
+    formats: Sequence[str]  # Names in `FORMATS`.
     selection: Selection
     _: KW_ONLY
     clock: Clock = Clock.LSL
+    # An existing folder, or for a single format the file or folder itself; None for the recording's
+    # folder.
     output: Path | None = None
+    # task, session: task and session, for formats that contain them; empty to take them from the
+    # file name.
     task: str = ""
     session: str = ""
+    # Which participant is right, that of the file name or of the sensors; None if undecided.
     whose: Whose | None = None
     times: Times = Times.RECORDED
-    batch: int = BATCH
-    is_wide: bool = False
+    batch: int = BATCH  # Number of values processed at once; results do not depend on it.
+    is_wide: bool = False  # Whether `csv` should also contain a table per rate.
+    # Rates in Hz of streams whose headers name none; by name or source_id, with `*` and `?`.
     rates: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
@@ -359,19 +346,11 @@ Watching = Callable[[Path], AbstractContextManager[Watch]]
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """The result for one of several recordings.
-
-    Attributes
-    ----------
-    outcome
-        None if it was in the dataset before, or failed.
-    error
-        Why nothing was written, as a sentence; empty on success.
-    """
+    """The result for one of several recordings."""
 
     recording: Path
-    outcome: Outcome | None = None
-    error: str = ""
+    outcome: Outcome | None = None  # None if it was in the dataset before, or failed.
+    error: str = ""  # Why nothing was written, as a sentence; empty on success.
 
     @property
     def is_certain(self) -> bool:

@@ -72,35 +72,19 @@ _OF_DEVICES = frozenset(
 
 @dataclass(slots=True)
 class MarkerEvent:
-    """An event.
+    """An event."""
 
-    Attributes
-    ----------
-    onset_s
-        Seconds since the timeline's zero.
-    name
-        Empty if only `text` is known.
-    text
-        As recorded.
-    participant
-        The only participant concerned; empty for all participants of the stream.
-    id, undoes
-        Number of one of the agent's markers, and of the marker that it undoes.
-    note
-        Free text of one of the agent's markers.
-    duration_s
-        None for an instantaneous event.
-    """
-
-    onset_s: float
-    name: str
-    text: str
+    onset_s: float  # Seconds since the timeline's zero.
+    name: str  # Empty if only `text` is known.
+    text: str  # As recorded.
+    # The only participant concerned; empty for all participants of the stream.
     participant: str = ""
+    # id, undoes: number of one of the agent's markers, and of the marker that it undoes.
     id: int | None = None
     undoes: int | None = None
     undone: bool = False
-    note: str = ""
-    duration_s: float | None = None
+    note: str = ""  # Free text of one of the agent's markers.
+    duration_s: float | None = None  # None for an instantaneous event.
 
 
 def gap_event(stream: Stream, gap: Gap, timeline: Timeline) -> MarkerEvent:

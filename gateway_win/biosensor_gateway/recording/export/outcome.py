@@ -15,18 +15,12 @@ from biosensor_gateway.recording.xdf.printing import finite, printable
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """One written format of a recording.
-
-    Attributes
-    ----------
-    notes
-        Sentences about what the format could not contain.
-    """
+    """One written format of a recording."""
 
     format: str
     path: Path
     size: int
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # Sentences about what the format could not contain.
 
     @property
     def is_whole(self) -> bool:
@@ -36,43 +30,25 @@ class Written:
 
 @dataclass(frozen=True, slots=True)
 class NothingForIt:
-    """A format for which the recording has no suitable data.
-
-    Attributes
-    ----------
-    why
-        A sentence for the user.
-    """
+    """A format for which the recording has no suitable data."""
 
     format: str
-    why: str
+    why: str  # A sentence for the user.
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of exporting a recording.
-
-    Attributes
-    ----------
-    streams
-        Name, source_id and number of samples of the selected streams.
-    damages
-        Unreadable parts of the recording.
-    clock_notes
-        Sentences about the times; `Missing` if samples have none.
-    without
-        Requested formats that were not written.
-    mismatch
-        Set if the recording's name and sensors have different participants and the user has not
-        decided which is right.
-    """
+    """The result of exporting a recording."""
 
     path: Path
+    # Name, source_id and number of samples of the selected streams.
     streams: tuple[tuple[str, str, int], ...]
     written: tuple[Written, ...]
-    damages: tuple[Damage, ...]
-    clock_notes: tuple[str, ...]
-    without: tuple[NothingForIt, ...] = ()
+    damages: tuple[Damage, ...]  # Unreadable parts of the recording.
+    clock_notes: tuple[str, ...]  # Sentences about the times; `Missing` if samples have none.
+    without: tuple[NothingForIt, ...] = ()  # Requested formats that were not written.
+    # Set if the recording's name and sensors have different participants and the user has not
+    # decided which is right.
     mismatch: Mismatch | None = None
 
     @property

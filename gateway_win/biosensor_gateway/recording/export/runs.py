@@ -377,19 +377,11 @@ def _part(samples: Samples, begin: int, end: int) -> Samples:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """The contents of one file: a run, or several with empty rows for the gaps between them.
+    """The contents of one file: a run, or several with empty rows for the gaps between them."""
 
-    Attributes
-    ----------
-    first
-        Number of its first run.
-    empty
-        Number of empty rows before each run; 0 before the first.
-    """
-
-    first: int
+    first: int  # Number of its first run.
     runs: tuple[Run, ...]
-    empty: tuple[int, ...]
+    empty: tuple[int, ...]  # Number of empty rows before each run; 0 before the first.
     rate_hz: float
 
     @property

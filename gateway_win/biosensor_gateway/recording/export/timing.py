@@ -16,20 +16,14 @@ from biosensor_gateway.recording.xdf.pace import Cuts
 
 @dataclass(slots=True)
 class FittedLine:
-    """Line fit for samples without gaps, with sums around the means.
-
-    Attributes
-    ----------
-    mean_number, mean_s
-        The line passes through this point; the first sample has index 0.
-    spread, product
-        Sum of squares of the indexes, and sum of products of indexes and times; their quotient is
-        the slope in s per sample.
-    """
+    """Line fit for samples without gaps, with sums around the means."""
 
     count: int = 0
+    # mean_number, mean_s: the line passes through this point; the first sample has index 0.
     mean_number: float = 0.0
     mean_s: float = 0.0
+    # spread, product: sum of squares of the indexes, and sum of products of indexes and times;
+    # their quotient is the slope in s per sample.
     spread: float = 0.0
     product: float = 0.0
 
@@ -75,39 +69,21 @@ _DIGITS = 12
 
 @dataclass(slots=True)
 class Part:
-    """Samples that go into one table.
-
-    Attributes
-    ----------
-    start_s
-        Time of the first row.
-    """
+    """Samples that go into one table."""
 
     count: int = 0
-    start_s: float = 0.0
+    start_s: float = 0.0  # Time of the first row.
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Sample rate, gaps and tables of a regular stream.
+    """Sample rate, gaps and tables of a regular stream."""
 
-    Attributes
-    ----------
-    rate_hz
-        Rate of the samples between gaps; the nominal rate if it cannot be determined.
-    gaps
-        Steps between timestamps that are too long for adjacent samples.
-    parts
-        At least one, in the order of the file.
-    rows
-        Approximate number of rows needed, including empty ones.
-    """
-
-    rate_hz: float
-    gaps: int
+    rate_hz: float  # Rate of the samples between gaps; the nominal rate if it cannot be determined.
+    gaps: int  # Steps between timestamps that are too long for adjacent samples.
     longest_gap_s: float
-    parts: tuple[Part, ...]
-    rows: float
+    parts: tuple[Part, ...]  # At least one, in the order of the file.
+    rows: float  # Approximate number of rows needed, including empty ones.
 
 
 @dataclass(slots=True)

@@ -182,32 +182,21 @@ def _frame(buffer: bytes, position: int) -> Frame | None:
 
 @dataclass(frozen=True, slots=True)
 class StreamProgress:
-    """Progress of one stream, as plain values.
-
-    Attributes
-    ----------
-    nominal_hz
-        0 if irregular.
-    newest_stamp
-        Timestamp of its newest sample on its own clock, in s; None without samples.
-    age_s
-        Time from its newest sample to the newest one of any stream; None without samples.
-    offset_age_s
-        Time from the last offset to the newest sample of any stream; None without offsets.
-    is_closed
-        Whether it has a footer.
-    """
+    """Progress of one stream, as plain values."""
 
     name: str
     source_id: str
     host: str
-    nominal_hz: float
+    nominal_hz: float  # 0 if irregular.
     samples: int
+    # Timestamp of its newest sample on its own clock, in s; None without samples.
     newest_stamp: float | None
+    # Time from its newest sample to the newest one of any stream; None without samples.
     age_s: float | None
     clock_offsets: int
+    # Time from the last offset to the newest sample of any stream; None without offsets.
     offset_age_s: float | None
-    is_closed: bool
+    is_closed: bool  # Whether it has a footer.
     gaps: int = 0
     longest_gap_s: float = 0.0
 
@@ -404,30 +393,16 @@ class _StreamReader:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """The contents of a growing file, as plain values.
-
-    Attributes
-    ----------
-    length_s
-        From the first time in the file to the newest.
-    still_s
-        How long the file has not grown while it was monitored.
-    free_bytes
-        Free space on its disk; None if unknown.
-    is_closed
-        Whether every recordable stream has a footer.
-    damages
-        A clause for each unreadable place.
-    """
+    """The contents of a growing file, as plain values."""
 
     file: str
     bytes: int
-    length_s: float
-    still_s: float
-    free_bytes: int | None
-    is_closed: bool
+    length_s: float  # From the first time in the file to the newest.
+    still_s: float  # How long the file has not grown while it was monitored.
+    free_bytes: int | None  # Free space on its disk; None if unknown.
+    is_closed: bool  # Whether every recordable stream has a footer.
     streams: tuple[StreamProgress, ...]
-    damages: tuple[str, ...]
+    damages: tuple[str, ...]  # A clause for each unreadable place.
 
 
 class Growth:

@@ -27,26 +27,16 @@ _POLL_S = 0.25
 
 @dataclass(slots=True)
 class FileSummary:
-    """The contents of a recording, without decoding its samples.
-
-    Attributes
-    ----------
-    streams
-        Numbers of the streams with a header.
-    with_samples, with_footer
-        Numbers of the streams with samples, and with a footer.
-    without_footer_due
-        Streams that LabRecorder cannot record, so they never get a footer.
-    is_whole
-        Whether it can be read to the end.
-    """
+    """The contents of a recording, without decoding its samples."""
 
     bytes: int = 0
-    streams: set[int] = field(default_factory=set[int])
+    streams: set[int] = field(default_factory=set[int])  # Numbers of the streams with a header.
+    # with_samples, with_footer: numbers of the streams with samples, and with a footer.
     with_samples: set[int] = field(default_factory=set[int])
     with_footer: set[int] = field(default_factory=set[int])
+    # Streams that LabRecorder cannot record, so they never get a footer.
     without_footer_due: set[int] = field(default_factory=set[int])
-    is_whole: bool = False
+    is_whole: bool = False  # Whether it can be read to the end.
 
     @property
     def is_closed(self) -> bool:

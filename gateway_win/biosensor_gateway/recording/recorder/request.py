@@ -120,43 +120,22 @@ class BidsLabels:
 
 @dataclass(frozen=True, slots=True)
 class RecordingRequest:
-    """What to record, to which file, and which problems to accept.
+    """What to record, to which file, and which problems to accept."""
 
-    Attributes
-    ----------
-    folder
-        Path on this computer.
-    recorder_folder
-        Path of the same folder on LabRecorder's computer; empty if it is equal.
-    file
-        Name below the folder, or a full path on this computer.
-    all_streams
-        Record other programs' streams without a warning.
-    only_ours
-        Record only streams of this agent; LabRecorder's window refuses if there are others.
-    allow_missing
-        Start even if streams are missing.
-    without_away
-        Start even if sensors of the agent do not stream.
-    other_participants
-        Start even if the file's name has another participant than the sensors.
-    growth_s
-        Time limit for the file to grow, or for all streams to open.
-    counts_up
-        Whether to use the next run number if the file exists.
-    """
-
-    folder: Path | None = None
+    folder: Path | None = None  # Path on this computer.
+    # Path of the same folder on LabRecorder's computer; empty if it is equal.
     recorder_folder: str = ""
-    file: Path | None = None
+    file: Path | None = None  # Name below the folder, or a full path on this computer.
     labels: BidsLabels | None = None
-    all_streams: bool = False
+    all_streams: bool = False  # Record other programs' streams without a warning.
+    # Record only streams of this agent; LabRecorder's window refuses if there are others.
     only_ours: bool = False
-    allow_missing: bool = False
-    without_away: bool = False
+    allow_missing: bool = False  # Start even if streams are missing.
+    without_away: bool = False  # Start even if sensors of the agent do not stream.
+    # Start even if the file's name has another participant than the sensors.
     other_participants: bool = False
-    growth_s: float = GROWTH_S
-    counts_up: bool = True
+    growth_s: float = GROWTH_S  # Time limit for the file to grow, or for all streams to open.
+    counts_up: bool = True  # Whether to use the next run number if the file exists.
 
     @property
     def participant(self) -> str:
@@ -168,25 +147,16 @@ class RecordingRequest:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where LabRecorder should record.
+    """Where LabRecorder should record."""
 
-    Attributes
-    ----------
-    root
-        Path of the folder on LabRecorder's computer; empty keeps the current one.
-    template, fields
-        File name template and the values of its placeholders; empty keeps the current ones.
-    folder
-        Path of the same folder on this computer; None if not accessible.
-    files
-        Possible paths of the file on this computer: one or, if its case is not certain, two. Empty
-        if LabRecorder chooses the name.
-    """
-
-    root: str = ""
+    root: str = ""  # Path of the folder on LabRecorder's computer; empty keeps the current one.
+    # template, fields: file name template and the values of its placeholders; empty keeps the
+    # current ones.
     template: str = ""
     fields: Mapping[str, str] = field(default_factory=dict[str, str])
-    folder: Path | None = None
+    folder: Path | None = None  # Path of the same folder on this computer; None if not accessible.
+    # Possible paths of the file on this computer: one or, if its case is not certain, two. Empty if
+    # LabRecorder chooses the name.
     files: tuple[Path, ...] = ()
 
     @property
@@ -382,33 +352,18 @@ class By(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Started:
-    """A recording that was started.
-
-    Attributes
-    ----------
-    verified
-        Whether its file was found growing.
-    file
-        None if this computer cannot access it; then nothing is verified.
-    bytes, took_s
-        Size of the file when found growing, and the time from the command until then.
-    streams
-        Recorded streams, as visible from this computer.
-    foreign
-        Streams of other programs or agents.
-    left_out
-        The warnings about sensors that are not recorded at all.
-    """
+    """A recording that was started."""
 
     by: By
-    verified: bool
-    file: Path | None
+    verified: bool  # Whether its file was found growing.
+    file: Path | None  # None if this computer cannot access it; then nothing is verified.
+    # bytes, took_s: size of the file when found growing, and the time from the command until then.
     bytes: int
     took_s: float
-    streams: tuple[VisibleStream, ...]
-    foreign: tuple[VisibleStream, ...]
+    streams: tuple[VisibleStream, ...]  # Recorded streams, as visible from this computer.
+    foreign: tuple[VisibleStream, ...]  # Streams of other programs or agents.
     warnings: tuple[str, ...]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # The warnings about sensors that are not recorded at all.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -420,41 +375,22 @@ class LocalStarted(Started):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """The status of a recording.
-
-    Attributes
-    ----------
-    recording
-        Whether it is running; None if unknown.
-    file
-        None if unknown.
-    started
-        Unix time in s; None if unknown.
-    is_closed
-        Whether every stream has a footer.
-    is_local
-        Whether it is made on this computer; None if unknown.
-    required
-        source_ids of the streams that it must contain.
-    sight
-        Contents of the file so far; None if it was not or cannot be read.
-    problems
-        Problems, the worst first.
-    """
+    """The status of a recording."""
 
     by: By
-    recording: bool | None
-    file: Path | None
-    started: float | None
+    recording: bool | None  # Whether it is running; None if unknown.
+    file: Path | None  # None if unknown.
+    started: float | None  # Unix time in s; None if unknown.
     bytes: int = 0
     streams: int = 0
     with_samples: int = 0
-    is_closed: bool = False
-    is_local: bool | None = True
+    is_closed: bool = False  # Whether every stream has a footer.
+    is_local: bool | None = True  # Whether it is made on this computer; None if unknown.
     answers: bool = True
-    required: tuple[str, ...] = ()
+    required: tuple[str, ...] = ()  # source_ids of the streams that it must contain.
+    # Contents of the file so far; None if it was not or cannot be read.
     sight: Progress | None = None
-    problems: tuple[Finding, ...] = ()
+    problems: tuple[Finding, ...] = ()  # Problems, the worst first.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -468,28 +404,16 @@ class LocalStatus(Status):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stopped:
-    """A recording that was stopped.
-
-    Attributes
-    ----------
-    verified
-        Whether its file was found closed.
-    file
-        None if unknown or not accessible; then nothing is verified.
-    took_s
-        Time from the command until the file was found closed.
-    verdict
-        Result of the check; None if it was not checked.
-    """
+    """A recording that was stopped."""
 
     by: By
-    verified: bool
-    file: Path | None
+    verified: bool  # Whether its file was found closed.
+    file: Path | None  # None if unknown or not accessible; then nothing is verified.
     bytes: int = 0
     streams: int = 0
     with_samples: int = 0
-    took_s: float = 0.0
-    verdict: Verdict | None
+    took_s: float = 0.0  # Time from the command until the file was found closed.
+    verdict: Verdict | None  # Result of the check; None if it was not checked.
     warnings: tuple[str, ...]
 
 

@@ -39,38 +39,17 @@ _DAMAGED = (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionEr
 
 @dataclass(frozen=True, slots=True)
 class SavedRecording:
-    """A recording made on this computer, as saved by its supervisor.
+    """A recording made on this computer, as saved by its supervisor."""
 
-    Attributes
-    ----------
-    file
-        Absolute path.
-    required
-        source_ids that it must contain.
-    started
-        Unix time in s.
-    program
-        Process id of the recording program; 0 before it runs.
-    ended
-        Unix time in s; 0 while it runs, and also if the supervisor was killed.
-    code
-        Exit code of the program; None while it runs.
-    problem
-        Why it ended without a request; empty if it was stopped on request.
-    recorder
-        Name of the program in sentences.
-    without
-        source_ids of the sensors that did not stream at the start, which the user confirmed.
-    """
-
-    file: str
-    required: tuple[str, ...]
-    started: float
-    program: int = 0
-    ended: float = 0.0
-    code: int | None = None
-    problem: str = ""
-    recorder: str = LAB_RECORDER
+    file: str  # Absolute path.
+    required: tuple[str, ...]  # source_ids that it must contain.
+    started: float  # Unix time in s.
+    program: int = 0  # Process id of the recording program; 0 before it runs.
+    ended: float = 0.0  # Unix time in s; 0 while it runs, and also if the supervisor was killed.
+    code: int | None = None  # Exit code of the program; None while it runs.
+    problem: str = ""  # Why it ended without a request; empty if it was stopped on request.
+    recorder: str = LAB_RECORDER  # Name of the program in sentences.
+    # source_ids of the sensors that did not stream at the start, which the user confirmed.
     without: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
 
@@ -212,20 +191,12 @@ class RecorderFolder:
 
 @dataclass(frozen=True, slots=True)
 class WindowRecording:
-    """A recording in LabRecorder's window that was started from here.
-
-    Attributes
-    ----------
-    file
-        Empty if it cannot be reached from this computer.
-    started
-        Unix time in s.
-    """
+    """A recording in LabRecorder's window that was started from here."""
 
     host: str
     port: int
-    file: str
-    started: float
+    file: str  # Empty if it cannot be reached from this computer.
+    started: float  # Unix time in s.
 
     def save(self, state: Path) -> str:
         """Save it in the state folder; return what went wrong, empty if nothing."""

@@ -40,43 +40,26 @@ Devices = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class ExpectedDevice:
-    """A device whose streams should be recorded.
-
-    Attributes
-    ----------
-    why
-        Its state according to the agent, if it does not stream.
-    away
-        Why and since when it does not stream, according to the agent; empty if it streams.
-    """
+    """A device whose streams should be recorded."""
 
     title: str
-    why: str
+    why: str  # Its state according to the agent, if it does not stream.
     source_ids: frozenset[str]
     worn: Worn
+    # Why and since when it does not stream, according to the agent; empty if it streams.
     away: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """The visible streams, compared with the expected ones.
-
-    Attributes
-    ----------
-    foreign
-        Streams of other programs, or of agents on other computers.
-    missing
-        One clause per device with expected streams that are not visible.
-    worn
-        Participants of the devices with visible streams.
-    away
-        One clause per device that does not stream, according to the agent.
-    """
+    """The visible streams, compared with the expected ones."""
 
     visible: tuple[VisibleStream, ...]
+    # Streams of other programs, or of agents on other computers.
     foreign: tuple[VisibleStream, ...]
-    missing: tuple[str, ...]
-    worn: tuple[Worn, ...] = ()
+    missing: tuple[str, ...]  # One clause per device with expected streams that are not visible.
+    worn: tuple[Worn, ...] = ()  # Participants of the devices with visible streams.
+    # One clause per device that does not stream, according to the agent.
     away: tuple[str, ...] = ()
     away_ids: frozenset[str] = frozenset()
 

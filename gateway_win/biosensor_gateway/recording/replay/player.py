@@ -41,15 +41,9 @@ _MOST_BLOCKS = 1024
 
 @dataclass(frozen=True, slots=True)
 class PlayOptions:
-    """How to play.
+    """How to play."""
 
-    Attributes
-    ----------
-    speed
-        Seconds of the recording per second, above 0.
-    """
-
-    speed: float = 1.0
+    speed: float = 1.0  # Seconds of the recording per second, above 0.
     loop: bool = False
     waits: bool = False
     as_original: bool = False
@@ -57,21 +51,13 @@ class PlayOptions:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of the player; times in seconds of the recording.
+    """Progress of the player; times in seconds of the recording."""
 
-    Attributes
-    ----------
-    lap
-        Number of rounds started, 0 while it waits for receivers.
-    received
-        Number of streams with a receiver.
-    """
-
-    lap: int
+    lap: int  # Number of rounds started, 0 while it waits for receivers.
     position_s: float
     length_s: float
     sent: int
-    received: int
+    received: int  # Number of streams with a receiver.
 
 
 class Player:
@@ -370,21 +356,11 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """``stamp = start + (time - begin) / speed``.
+    """``stamp = start + (time - begin) / speed``."""
 
-    Attributes
-    ----------
-    start_s
-        Current LSL time at which the recording's `begin_s` is played.
-    begin_s
-        LSL time on the recorder's clock.
-    speed
-        Seconds of the recording per second, above 0.
-    """
-
-    start_s: float
-    begin_s: float
-    speed: float
+    start_s: float  # Current LSL time at which the recording's `begin_s` is played.
+    begin_s: float  # LSL time on the recorder's clock.
+    speed: float  # Seconds of the recording per second, above 0.
 
     def stamps(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the LSL times at which samples are played.

@@ -64,57 +64,39 @@ class ReplayJob(BaseModel):
 
 
 class PlayedStream(BaseModel):
-    """One played stream, according to its header.
-
-    Attributes
-    ----------
-    sensor, unit, participant, label
-        The recorded device and participant; for another program's stream, its name and computer.
-    channels, units, roles
-        One per channel; empty for text.
-    nominal_hz
-        At the speed of the replay.
-    is_empty
-        Whether the recording has no samples of it.
-    """
+    """One played stream, according to its header."""
 
     source_id: str
     lsl_name: str
     data_name: str
     is_ours: bool
+    # sensor, unit, participant, label: the recorded device and participant; for another program's
+    # stream, its name and computer.
     sensor: str
     unit: str
     participant: str
     label: str
     content_type: str
+    # channels, units, roles: one per channel; empty for text.
     channels: list[str]
     units: list[str]
     roles: list[ChannelRole | None]
-    nominal_hz: float
-    is_empty: bool
+    nominal_hz: float  # At the speed of the replay.
+    is_empty: bool  # Whether the recording has no samples of it.
 
 
 class ReplayProgress(BaseModel):
-    """Progress of a replay; times in seconds of the recording.
-
-    Attributes
-    ----------
-    lap
-        Number of rounds started.
-    received, streams
-        Number of streams with a receiver, and number of all streams.
-    said
-        Sentences for the user: what cannot be played, why it was refused, and a summary at the
-        end.
-    """
+    """Progress of a replay; times in seconds of the recording."""
 
     phase: Phase = Phase.OPENING
-    lap: int = 0
+    lap: int = 0  # Number of rounds started.
     position_s: float = 0.0
     length_s: float = 0.0
     sent: int = 0
+    # received, streams: number of streams with a receiver, and number of all streams.
     received: int = 0
     streams: int = 0
+    # Sentences for the user: what cannot be played, why it was refused, and a summary at the end.
     said: list[str] = Field(default_factory=list[str])
 
 

@@ -41,24 +41,12 @@ _PIECES_OF_A_STREAM = 5
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Traces of a person in a recording.
+    """Traces of a person in a recording."""
 
-    Attributes
-    ----------
-    own
-        Names of the person's streams.
-    others
-        Participants of the other streams.
-    unnamed
-        Number of streams without a participant, except the agent's and node's own.
-    texts
-        Names of the text streams that contain the person's name.
-    """
-
-    own: tuple[str, ...]
-    others: tuple[str, ...]
-    unnamed: int
-    texts: tuple[str, ...]
+    own: tuple[str, ...]  # Names of the person's streams.
+    others: tuple[str, ...]  # Participants of the other streams.
+    unnamed: int  # Number of streams without a participant, except the agent's and node's own.
+    texts: tuple[str, ...]  # Names of the text streams that contain the person's name.
     damages: int
 
 

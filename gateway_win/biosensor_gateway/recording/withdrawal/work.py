@@ -244,21 +244,14 @@ class _Looking:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The result for one file.
-
-    Attributes
-    ----------
-    before, after
-        SHA-256 of the file; `after` is empty if it was deleted.
-    error
-        Why the step failed, as a sentence; empty if it succeeded.
-    """
+    """The result for one file."""
 
     path: Path
     action: Action
+    # before, after: SHA-256 of the file; `after` is empty if it was deleted.
     before: str
     after: str = ""
-    error: str = ""
+    error: str = ""  # Why the step failed, as a sentence; empty if it succeeded.
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,24 +264,14 @@ class Left:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was done, and the result of the search afterwards.
-
-    Attributes
-    ----------
-    looked_at
-        Files that the user must inspect.
-    searched
-        Number of files searched for names and pieces of the data.
-    pieces
-        Number of these pieces.
-    """
+    """What was done, and the result of the search afterwards."""
 
     person: str
     done: tuple[Done, ...]
-    looked_at: tuple[Step, ...]
+    looked_at: tuple[Step, ...]  # Files that the user must inspect.
     left: tuple[Left, ...]
-    searched: int
-    pieces: int
+    searched: int  # Number of files searched for names and pieces of the data.
+    pieces: int  # Number of these pieces.
 
     @property
     def is_clean(self) -> bool:

@@ -153,23 +153,15 @@ _ZEROS_AT_END = 64
 
 
 class Chunk(NamedTuple):
-    """One chunk.
-
-    Attributes
-    ----------
-    start, end
-        Offsets of the whole chunk in the file, `end` excluded.
-    damages
-        Number of damaged places before it.
-    is_found
-        Whether it was found by searching after damaged bytes, so it may not be a real chunk.
-    """
+    """One chunk."""
 
     tag: Tag
     content: bytes
+    # start, end: offsets of the whole chunk in the file, `end` excluded.
     start: int
     end: int
-    damages: int
+    damages: int  # Number of damaged places before it.
+    # Whether it was found by searching after damaged bytes, so it may not be a real chunk.
     is_found: bool
 
     @property
@@ -199,24 +191,14 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Bytes of the file that could not be read.
+    """Bytes of the file that could not be read."""
 
-    Attributes
-    ----------
-    start, end
-        Offsets in the file, `end` excluded.
-    what
-        What is wrong at `start`; the end of a sentence.
-    breaks_off
-        Nothing after `start` can be read.
-    is_foreign
-        It is a complete chunk of a kind that the format does not define, so no known data is lost.
-    """
-
+    # start, end: offsets in the file, `end` excluded.
     start: int
     end: int
-    what: str
-    breaks_off: bool = False
+    what: str  # What is wrong at `start`; the end of a sentence.
+    breaks_off: bool = False  # Nothing after `start` can be read.
+    # It is a complete chunk of a kind that the format does not define, so no known data is lost.
     is_foreign: bool = False
 
 
@@ -252,21 +234,11 @@ class _Broken(NamedTuple):
 
 
 class OpenRecording(NamedTuple):
-    """A recording that can be read.
+    """A recording that can be read."""
 
-    Attributes
-    ----------
-    file
-        Uncompressed and seekable.
-    size
-        Its length in bytes.
-    is_unpacked_whole
-        False if it was compressed and only its beginning could be unpacked.
-    """
-
-    file: BinaryIO
-    size: int
-    is_unpacked_whole: bool
+    file: BinaryIO  # Uncompressed and seekable.
+    size: int  # Its length in bytes.
+    is_unpacked_whole: bool  # False if it was compressed and only its beginning could be unpacked.
 
 
 _HEAD_BYTES = 64

@@ -53,34 +53,18 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordedCounters:
-    """The agent's counters of one stream, compared with its recording.
+    """The agent's counters of one stream, compared with its recording."""
 
-    Attributes
-    ----------
-    pushed
-        Samples that the agent pushed between the readings compared.
-    held
-        Samples in the file in the same time.
-    lost
-        Samples lost before they reached LSL during the recording, as counted by the agent.
-    restarts
-        How often the agent restarted its counts.
-    is_off
-        The stream is switched off in the settings, or the device's model does not have it.
-    strange_since
-        Time on the stream's clock from which its samples are not those that the agent counted;
-        None if they are.
-    lacking
-        Labels of channels that the device's model does not have.
-    """
-
-    pushed: int
-    held: int
-    lost: int
-    restarts: int = 0
+    pushed: int  # Samples that the agent pushed between the readings compared.
+    held: int  # Samples in the file in the same time.
+    lost: int  # Samples lost before they reached LSL during the recording, as counted by the agent.
+    restarts: int = 0  # How often the agent restarted its counts.
+    # The stream is switched off in the settings, or the device's model does not have it.
     is_off: bool = False
+    # Time on the stream's clock from which its samples are not those that the agent counted; None
+    # if they are.
     strange_since: float | None = None
-    lacking: tuple[str, ...] = ()
+    lacking: tuple[str, ...] = ()  # Labels of channels that the device's model does not have.
 
 
 def parse_readings(

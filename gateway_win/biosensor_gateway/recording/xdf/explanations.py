@@ -7,15 +7,9 @@ from typing import NamedTuple
 
 
 class Explanation(NamedTuple):
-    """The explanation of the findings of one code.
+    """The explanation of the findings of one code."""
 
-    Attributes
-    ----------
-    title
-        What it is, in a few words.
-    """
-
-    title: str
+    title: str  # What it is, in a few words.
     means: str
     to_do: str
 

@@ -38,19 +38,11 @@ class About(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One sentence about a recording.
-
-    Attributes
-    ----------
-    code
-        Identifier for scripts.
-    stream
-        Name of the stream; empty for the whole file.
-    """
+    """One sentence about a recording."""
 
     level: Level
-    code: str
-    stream: str
+    code: str  # Identifier for scripts.
+    stream: str  # Name of the stream; empty for the whole file.
     text: str
     about: About = About.PERSONS
 

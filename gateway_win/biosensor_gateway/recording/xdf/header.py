@@ -26,53 +26,18 @@ _MARKERS = ("marker", "trigger", "event", "stim")
 
 @dataclass(frozen=True, slots=True)
 class RobotTopic:
-    """What the header of a stream from ``ros_to_lsl`` says about its topic.
-
-    Attributes
-    ----------
-    stamped_by
-        Origin of the first sample's timestamp: the message's header, its source, or its arrival.
-    clock
-        What was known about the clock of the timestamps; one word.
-    edge_s
-        How far that clock may be behind, or is ahead if negative; NaN if not given.
-    """
+    """What the header of a stream from ``ros_to_lsl`` says about its topic."""
 
     topic: str
+    # Origin of the first sample's timestamp: the message's header, its source, or its arrival.
     stamped_by: str
-    clock: str
-    edge_s: float
+    clock: str  # What was known about the clock of the timestamps; one word.
+    edge_s: float  # How far that clock may be behind, or is ahead if negative; NaN if not given.
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedHeader:
-    """The header of one recorded stream.
-
-    Attributes
-    ----------
-    rate
-        Nominal rate in Hz, 0 if irregular.
-    created_at
-        LSL time at which the outlet was made, on its host's clock; NaN if unknown.
-    labels, units
-        One per channel; a number and an empty text where the header gives none.
-    can_drop_samples
-        Whether samples may be missing, so that loaders must not smooth the timestamps.
-    identity, data_name
-        Identifies one of our streams; None and empty for another program's stream.
-    refused
-        Why a ``<biosensor>`` block was rejected; empty if there was none or it was accepted.
-    replay
-        The recording that was replayed; None for a stream that was recorded live.
-    robot
-        The topic that ``ros_to_lsl`` turned into the stream; None for other streams.
-    may_be_older
-        Whether its samples may have been measured long before the recording began.
-    window_s
-        Longest time window of a feature's values; None for measured streams.
-    is_guessed
-        Whether its text is not UTF-8, so the encoding was guessed.
-    """
+    """The header of one recorded stream."""
 
     name: str
     content_type: str
@@ -80,19 +45,28 @@ class RecordedHeader:
     hostname: str
     channel_count: int
     format: ChannelFormat
-    rate: float
-    created_at: float
+    rate: float  # Nominal rate in Hz, 0 if irregular.
+    created_at: float  # LSL time at which the outlet was made, on its host's clock; NaN if unknown.
+    # labels, units: one per channel; a number and an empty text where the header gives none.
     labels: tuple[str, ...]
     units: tuple[str, ...]
+    # Whether samples may be missing, so that loaders must not smooth the timestamps.
     can_drop_samples: bool
+    # identity, data_name: identifies one of our streams; None and empty for another program's
+    # stream.
     identity: DeviceIdentity | None
     data_name: str
+    # Why a `<biosensor>` block was rejected; empty if there was none or it was accepted.
     refused: str
+    # The recording that was replayed; None for a stream that was recorded live.
     replay: Replay | None = None
+    # The topic that `ros_to_lsl` turned into the stream; None for other streams.
     robot: RobotTopic | None = None
     xml: str = ""
+    # Whether its samples may have been measured long before the recording began.
     may_be_older: bool = False
-    is_guessed: bool = False
+    is_guessed: bool = False  # Whether its text is not UTF-8, so the encoding was guessed.
+    # Longest time window of a feature's values; None for measured streams.
     window_s: float | None = None
 
     @property
@@ -170,18 +144,10 @@ class Footer:
 
 @dataclass(frozen=True, slots=True)
 class FileClock:
-    """How the file's clock relates to Unix time.
+    """How the file's clock relates to Unix time."""
 
-    Attributes
-    ----------
-    resolution_s
-        How far off a pair may be.
-    pairs
-        Moments on both clocks, ascending, at least one.
-    """
-
-    resolution_s: float
-    pairs: tuple[ClockPair, ...]
+    resolution_s: float  # How far off a pair may be.
+    pairs: tuple[ClockPair, ...]  # Moments on both clocks, ascending, at least one.
 
 
 def decoded(content: bytes | memoryview) -> tuple[str, bool]:

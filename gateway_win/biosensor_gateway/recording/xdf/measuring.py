@@ -46,21 +46,11 @@ _UNIX_S = (1e9, 1e10)
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A gap in a regular stream.
+    """A gap in a regular stream."""
 
-    Attributes
-    ----------
-    after
-        Timestamp of the last sample before it, on the stream's clock, in s.
-    length_s
-        Time between the samples on either side.
-    lost
-        Estimated number of lost samples.
-    """
-
-    after: float
-    length_s: float
-    lost: int
+    after: float  # Timestamp of the last sample before it, on the stream's clock, in s.
+    length_s: float  # Time between the samples on either side.
+    lost: int  # Estimated number of lost samples.
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,72 +65,43 @@ class Gaps:
 
 @dataclass(frozen=True, slots=True)
 class ClockOffsets:
-    """Statistics of the offsets between a stream's clock and the recorder's, in s.
-
-    Attributes
-    ----------
-    drift_ppm
-        Slope of a straight line through the offsets between resets; None if there are fewer than
-        two.
-    scatter_s
-        Largest deviation from that line.
-    resets
-        How often the clock restarted or was set.
-    """
+    """Statistics of the offsets between a stream's clock and the recorder's, in s."""
 
     count: int = 0
     lowest_s: float | None = None
     highest_s: float | None = None
+    # Slope of a straight line through the offsets between resets; None if there are fewer than two.
     drift_ppm: float | None = None
-    scatter_s: float | None = None
-    resets: int = 0
+    scatter_s: float | None = None  # Largest deviation from that line.
+    resets: int = 0  # How often the clock restarted or was set.
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Statistics of the samples of one stream.
+    """Statistics of the samples of one stream."""
 
-    Attributes
-    ----------
-    first, last
-        Earliest and latest timestamp on the stream's clock, in s, without outliers; None without
-        samples. If the stream's clock restarted, all times are on the recorder's clock.
-    backward_steps
-        How often a timestamp is earlier than the previous one; in another program's regular
-        stream, only if bursts and jitter do not explain it.
-    furthest_back_s
-        Largest of these steps back.
-    bad_stamps
-        Number of timestamps that are NaN or infinite.
-    rate_hz
-        Samples per second from first to last; None for fewer than two samples.
-    rate_between_gaps_hz
-        The same without the gaps; None also for irregular streams.
-    clock_error
-        Why the timestamps are not on the LSL clock; empty if they are.
-    pace
-        How the timestamps of another program deviate from a line; None where each timestamp is
-        exact.
-    found_hz
-        Rate of a stream whose header names none, if its samples are evenly spaced.
-    pauses
-        Gaps in which the device was paused, see `event_rules.without_pauses`; not among `gaps`.
-    """
-
+    # first, last: earliest and latest timestamp on the stream's clock, in s, without outliers; None
+    # without samples. If the stream's clock restarted, all times are on the recorder's clock.
     first: float | None
     last: float | None
+    # How often a timestamp is earlier than the previous one; in another program's regular stream,
+    # only if bursts and jitter do not explain it.
     backward_steps: int
-    bad_stamps: int
-    rate_hz: float | None
+    bad_stamps: int  # Number of timestamps that are NaN or infinite.
+    rate_hz: float | None  # Samples per second from first to last; None for fewer than two samples.
+    # The same without the gaps; None also for irregular streams.
     rate_between_gaps_hz: float | None
     gaps: Gaps
     offsets: ClockOffsets
     nan_shares: tuple[float, ...]
-    clock_error: str
+    clock_error: str  # Why the timestamps are not on the LSL clock; empty if they are.
+    # How the timestamps of another program deviate from a line; None where each timestamp is exact.
     pace: Pace | None = None
+    # Rate of a stream whose header names none, if its samples are evenly spaced.
     found_hz: float | None = None
+    # Gaps in which the device was paused, see `event_rules.without_pauses`; not among `gaps`.
     pauses: Gaps = Gaps()
-    furthest_back_s: float = 0.0
+    furthest_back_s: float = 0.0  # Largest of these steps back.
     part_error: str = ""
     """How many timestamps are not on the LSL clock, where others are; empty if none."""
 
@@ -243,25 +204,17 @@ def is_between(stamps: NDArray[np.float64], bounds: tuple[float, float]) -> NDAr
 
 @dataclass(slots=True)
 class Course:
-    """The order of the finite timestamps of a stream.
-
-    Attributes
-    ----------
-    first, last
-        The earliest and the latest.
-    back, ahead, far_back
-        Numbers of steps back, forward, and back by more than `STEP_BACK_S`.
-    furthest_back_s
-        Largest step back.
-    """
+    """The order of the finite timestamps of a stream."""
 
     count: int = 0
+    # first, last: the earliest and the latest.
     first: float = math.inf
     last: float = -math.inf
+    # back, ahead, far_back: numbers of steps back, forward, and back by more than `STEP_BACK_S`.
     back: int = 0
     ahead: int = 0
     far_back: int = 0
-    furthest_back_s: float = 0.0
+    furthest_back_s: float = 0.0  # Largest step back.
 
     @classmethod
     def of(cls, blocks: Iterable[NDArray[np.float64]]) -> Course:

@@ -50,77 +50,40 @@ _USUAL, _UNUSUAL = 95, 4
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A gap: a place where samples are missing.
+    """A gap: a place where samples are missing."""
 
-    Attributes
-    ----------
-    at
-        Index of the first sample after it.
-    length_s
-        Time between the samples on either side, according to the line.
-    lost
-        Estimated number of lost samples.
-    after_s
-        Timestamp of the last sample before it.
-    """
-
-    at: int
-    length_s: float
-    lost: int
-    after_s: float = float("nan")
+    at: int  # Index of the first sample after it.
+    length_s: float  # Time between the samples on either side, according to the line.
+    lost: int  # Estimated number of lost samples.
+    after_s: float = float("nan")  # Timestamp of the last sample before it.
 
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """Samples with one timestamp, or nearly, because the clock of their sender stood still.
+    """Samples with one timestamp, or nearly, because the clock of their sender stood still."""
 
-    Attributes
-    ----------
-    at, count
-        Index of the first of them, and their number.
-    stamp_s
-        Timestamp of the first.
-    """
-
+    # at, count: index of the first of them, and their number.
     at: int
     count: int
-    stamp_s: float
+    stamp_s: float  # Timestamp of the first.
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How the timestamps of a stream deviate from a line over the sample number.
+    """How the timestamps of a stream deviate from a line over the sample number."""
 
-    Attributes
-    ----------
-    period_s
-        Sample period, from the slope of the line.
-    burst
-        Number of samples that share a timestamp, or nearly; 1 where each has its own.
-    spread_s
-        Usual maximum by which timestamps are later than the line.
-    moves_s
-        How far the line moves without a gap.
-    overlap_s
-        Largest step back between timestamps that this explains.
-    turns
-        Indexes of the samples at which timestamps step back by more than `STEP_BACK_S`, or the
-        line drops permanently.
-    odd_steps
-        Indexes of the samples at which a timestamp steps back by more than bursts and jitter
-        explain.
-    stray
-        Indexes of outliers: samples with timestamps far from those before and after.
-    """
-
-    period_s: float
-    burst: int
-    spread_s: float
-    moves_s: float
-    overlap_s: float
+    period_s: float  # Sample period, from the slope of the line.
+    burst: int  # Number of samples that share a timestamp, or nearly; 1 where each has its own.
+    spread_s: float  # Usual maximum by which timestamps are later than the line.
+    moves_s: float  # How far the line moves without a gap.
+    overlap_s: float  # Largest step back between timestamps that this explains.
     holes: tuple[Hole, ...]
+    # Indexes of the samples at which timestamps step back by more than `STEP_BACK_S`, or the line
+    # drops permanently.
     turns: tuple[int, ...]
+    # Indexes of the samples at which a timestamp steps back by more than bursts and jitter explain.
     odd_steps: tuple[int, ...]
+    # Indexes of outliers: samples with timestamps far from those before and after.
     stray: tuple[int, ...]
     ends_astray: bool = False
     """Whether the last sample is an outlier by more than `NO_PAUSE_S`."""
@@ -630,21 +593,13 @@ def _lowest(values: Array, window: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A line through the earliest timestamps of a run, as sums for least squares.
+    """A line through the earliest timestamps of a run, as sums for least squares."""
 
-    Attributes
-    ----------
-    count
-        Number of timestamps that it goes through.
-    number, stamp_s
-        Their mean index and mean timestamp.
-    products, squares
-        Sums of (index - mean) * (timestamp - mean) and of (index - mean) ** 2.
-    """
-
-    count: int
+    count: int  # Number of timestamps that it goes through.
+    # number, stamp_s: their mean index and mean timestamp.
     number: float
     stamp_s: float
+    # products, squares: sums of (index - mean) * (timestamp - mean) and of (index - mean) ** 2.
     products: float
     squares: float
 

@@ -69,22 +69,13 @@ _StreamT = TypeVar("_StreamT", bound=TakesChunks)
 
 
 class NewHeader(NamedTuple):
-    """A replacement for a stream header chunk that is missing or malformed.
+    """A replacement for a stream header chunk that is missing or malformed."""
 
-    Attributes
-    ----------
-    start, end
-        Offsets of the bytes that it replaces; equal if the header is missing.
-    content
-        Content of the new chunk, without the stream's number.
-    wrong
-        What was wrong with the original; empty if there was none.
-    """
-
+    # start, end: offsets of the bytes that it replaces; equal if the header is missing.
     start: int
     end: int
-    content: bytes
-    wrong: tuple[str, ...] = ()
+    content: bytes  # Content of the new chunk, without the stream's number.
+    wrong: tuple[str, ...] = ()  # What was wrong with the original; empty if there was none.
 
 
 class StreamSorter(Generic[_StreamT]):
@@ -353,30 +344,15 @@ class RecordedStream:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """The contents of a recording, without values.
-
-    Attributes
-    ----------
-    size
-        Uncompressed, in bytes.
-    begun
-        The recorder's text for the start time; empty if there is none.
-    streams
-        In the order of their headers.
-    renumbered
-        Those whose number in the file is another one's, too.
-    damages
-        Bytes that could not be read.
-    orphans
-        By number in the file, the number of chunks of streams whose header is not readable.
-    """
+    """The contents of a recording, without values."""
 
     path: Path
-    size: int
-    begun: str
-    streams: tuple[RecordedStream, ...]
-    renumbered: tuple[RecordedStream, ...]
-    damages: tuple[Damage, ...]
+    size: int  # Uncompressed, in bytes.
+    begun: str  # The recorder's text for the start time; empty if there is none.
+    streams: tuple[RecordedStream, ...]  # In the order of their headers.
+    renumbered: tuple[RecordedStream, ...]  # Those whose number in the file is another one's, too.
+    damages: tuple[Damage, ...]  # Bytes that could not be read.
+    # By number in the file, the number of chunks of streams whose header is not readable.
     orphans: Mapping[int, int]
 
 

@@ -79,18 +79,12 @@ class _Line:
 
 @dataclass(frozen=True, slots=True)
 class DoubtfulSpan:
-    """A span in which the sender's clock was set, where a timestamp does not tell before or after.
+    """A span in which the sender's clock was set; a timestamp in it may be from before or after."""
 
-    Attributes
-    ----------
-    begin_s, end_s
-        On the recorder's clock, between the clock offsets on either side.
-    step_s
-        By how much the clock was set; timestamps in the span may be wrong by up to that.
-    """
-
+    # begin_s, end_s: on the recorder's clock, between the clock offsets on either side.
     begin_s: float
     end_s: float
+    # By how much the clock was set; timestamps in the span may be wrong by up to that.
     step_s: float
 
     def text(self, zero_s: float) -> str:

@@ -346,28 +346,17 @@ class JudgedStream:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The result of a check, as plain values.
-
-    Attributes
-    ----------
-    sentence
-        A summary.
-    length_s
-        Time from the first sample of any stream to the last.
-    findings
-        Sorted by subject, then the worst first; a green recording has only notes.
-    can_be_salvaged
-        Whether it is truncated or damaged, but samples can be read.
-    """
+    """The result of a check, as plain values."""
 
     file: str
     bytes: int
     colour: Colour
-    sentence: str
-    length_s: float
+    sentence: str  # A summary.
+    length_s: float  # Time from the first sample of any stream to the last.
     streams: tuple[JudgedStream, ...]
+    # Sorted by subject, then the worst first; a green recording has only notes.
     findings: tuple[Finding, ...]
-    can_be_salvaged: bool
+    can_be_salvaged: bool  # Whether it is truncated or damaged, but samples can be read.
 
 
 def check(
@@ -442,18 +431,11 @@ def _sentence(report: Report, colour: Colour) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ExpectedStream:
-    """A stream that should be there.
-
-    Attributes
-    ----------
-    source_id
-        Empty if only `name` is known, which may then be a name or a source_id.
-    must_have_samples
-        Whether samples are expected too; an event stream may be empty.
-    """
+    """A stream that should be there."""
 
     name: str
-    source_id: str = ""
+    source_id: str = ""  # Empty if only `name` is known, which may then be a name or a source_id.
+    # Whether samples are expected too; an event stream may be empty.
     must_have_samples: bool = False
 
     def is_met_by(self, header: RecordedHeader) -> bool:

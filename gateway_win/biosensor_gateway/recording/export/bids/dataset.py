@@ -70,18 +70,11 @@ Holds = Mapping[int, Iterable[str]]
 
 @dataclass(frozen=True, slots=True)
 class Subjects:
-    """The participants of a recording.
+    """The participants of a recording."""
 
-    Attributes
-    ----------
-    participants
-        Their names in the recording by label; empty for `UNKNOWN` and `SHARED`.
-    nobodys
-        Label of the folder for streams without a participant.
-    """
-
+    # Their names in the recording by label; empty for `UNKNOWN` and `SHARED`.
     participants: Mapping[str, str]
-    nobodys: str
+    nobodys: str  # Label of the folder for streams without a participant.
 
     def of(self, stream: Stream) -> str:
         """Return the label of a stream's participant."""

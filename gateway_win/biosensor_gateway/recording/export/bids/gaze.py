@@ -33,20 +33,11 @@ _OF_GAZE = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """The channels of one eye in a stream.
+    """The channels of one eye in a stream."""
 
-    Attributes
-    ----------
-    recorded
-        ``left``, ``right``, or ``cyclopean`` of both together.
-    is_told
-        Whether the header specifies the eye.
-    places, names
-        Its channels in the stream and the names of their columns, x and y first.
-    """
-
-    recorded: str
-    is_told: bool
+    recorded: str  # `left`, `right`, or `cyclopean` of both together.
+    is_told: bool  # Whether the header specifies the eye.
+    # places, names: its channels in the stream and the names of their columns, x and y first.
     places: tuple[int, ...]
     names: tuple[str, ...]
 

@@ -24,24 +24,14 @@ GZIP_LEVEL = 1
 
 @dataclass(frozen=True, slots=True)
 class RegularTable:
-    """The table written for a part of a stream.
-
-    Attributes
-    ----------
-    start_s
-        Time of the first row.
-    largest_displacement_s
-        Largest time difference between a sample and its row.
-    moved
-        Number of samples whose own row was taken.
-    """
+    """The table written for a part of a stream."""
 
     path: Path
-    start_s: float
+    start_s: float  # Time of the first row.
     samples: int
     empty_rows: int
-    largest_displacement_s: float
-    moved: int
+    largest_displacement_s: float  # Largest time difference between a sample and its row.
+    moved: int  # Number of samples whose own row was taken.
 
 
 def write_regular(

@@ -54,30 +54,19 @@ _TYPES = frozenset({
 
 @dataclass(frozen=True, slots=True)
 class RunFile:
-    """One run of EEG or EMG.
+    """One run of EEG or EMG."""
 
-    Attributes
-    ----------
-    datatype
-        The folder, ``eeg`` or ``emg``, which is also the suffix of its file.
-    entities, recording
-        Parts of its file names; `recording` is empty if not needed to distinguish files.
-    start_s
-        Time of the first row since zero.
-    gaps
-        First row and number of rows of each gap.
-    without
-        Onset and duration of other missing values, in s since the first row, with a description.
-    """
-
-    datatype: str
+    datatype: str  # The folder, `eeg` or `emg`, which is also the suffix of its file.
     stream: Stream
+    # entities, recording: parts of its file names; `recording` is empty if not needed to
+    # distinguish files.
     entities: Entities
     recording: str
-    start_s: float
+    start_s: float  # Time of the first row since zero.
     rate_hz: float
     rows: int
-    gaps: tuple[tuple[int, int], ...]
+    gaps: tuple[tuple[int, int], ...]  # First row and number of rows of each gap.
+    # Onset and duration of other missing values, in s since the first row, with a description.
     without: tuple[tuple[float, float, str], ...] = ()
 
     def path(self, suffix: str) -> Path:

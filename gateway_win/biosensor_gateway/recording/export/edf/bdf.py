@@ -46,22 +46,13 @@ _IN_MICROVOLTS = {"V": 1e6, "volts": 1e6, "volt": 1e6}
 
 
 class Channel(NamedTuple):
-    """One channel of a file.
+    """One channel of a file."""
 
-    Attributes
-    ----------
-    place
-        Index of the channel in the stream.
-    factor
-        Factor that converts its values to `dimension`.
-    least, greatest
-        Range in `dimension`, rounded to what the header can express.
-    """
-
-    place: int
+    place: int  # Index of the channel in the stream.
     label: str
     dimension: str
-    factor: float
+    factor: float  # Factor that converts its values to `dimension`.
+    # least, greatest: range in `dimension`, rounded to what the header can express.
     least: float
     greatest: float
 
@@ -73,18 +64,10 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Layout of the data records of one file.
+    """Layout of the data records of one file."""
 
-    Attributes
-    ----------
-    samples
-        Samples per channel in a record.
-    record_s
-        Duration of a record, rounded to what the header can express.
-    """
-
-    samples: int
-    record_s: float
+    samples: int  # Samples per channel in a record.
+    record_s: float  # Duration of a record, rounded to what the header can express.
     records: int
 
     @property
@@ -287,18 +270,12 @@ _MOST_CODE = 24
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Information about the recording for the header.
+    """Information about the recording for the header."""
 
-    Attributes
-    ----------
-    participant, equipment
-        Empty if unknown.
-    begun_ns
-        Unix time of the first sample; None if the file should not have a time of day.
-    """
-
+    # participant, equipment: empty if unknown.
     participant: str
     equipment: str
+    # Unix time of the first sample; None if the file should not have a time of day.
     begun_ns: int | None
 
     @property

@@ -78,16 +78,10 @@ def names_of(streams: tuple[Stream, ...]) -> dict[int, TopicName]:
 
 @dataclass(slots=True)
 class Unfit:
-    """Samples that do not fit a topic.
-
-    Attributes
-    ----------
-    what
-        Why the first one does not fit, as the end of a sentence.
-    """
+    """Samples that do not fit a topic."""
 
     count: int = 0
-    what: str = ""
+    what: str = ""  # Why the first one does not fit, as the end of a sentence.
 
     def add(self, count: int, what: str) -> None:
         """Add some samples."""

@@ -59,21 +59,13 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of salvaging a recording.
-
-    Attributes
-    ----------
-    written
-        The new file; None if the recording is undamaged.
-    closed
-        Numbers of the streams that got a footer.
-    """
+    """The result of salvaging a recording."""
 
     path: Path
-    written: Path | None
+    written: Path | None  # The new file; None if the recording is undamaged.
     survey: Survey
     places: tuple[Place, ...]
-    closed: tuple[int, ...]
+    closed: tuple[int, ...]  # Numbers of the streams that got a footer.
 
     @property
     def lost_bytes(self) -> int:

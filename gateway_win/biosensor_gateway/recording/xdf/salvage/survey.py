@@ -38,24 +38,16 @@ _FEWEST = 8
 
 
 class Break(NamedTuple):
-    """The effect of damage on a stream.
+    """The effect of damage on a stream."""
 
-    Attributes
-    ----------
-    first, end
-        Range of the damages between the two samples, `end` excluded.
-    before, after
-        Timestamps of the samples on either side, on the stream's clock; `before` is NaN if there
-        was none.
-    is_gap
-        Whether samples are missing between them; always False for an irregular stream.
-    """
-
+    # first, end: range of the damages between the two samples, `end` excluded.
     first: int
     end: int
+    # before, after: timestamps of the samples on either side, on the stream's clock; `before` is
+    # NaN if there was none.
     before: float
     after: float
-    is_gap: bool
+    is_gap: bool  # Whether samples are missing between them; always False for an irregular stream.
 
 
 class Rewrite(NamedTuple):
@@ -86,30 +78,21 @@ class Cut(NamedTuple):
 
 @dataclass(slots=True)
 class KeptStream:
-    """One stream of a damaged recording.
-
-    Attributes
-    ----------
-    first, last
-        Timestamps of the first and last sample, 0 without samples.
-    lost
-        Estimated number of samples lost in the damage.
-    untimed
-        Number of samples after damage whose time is unknown, because no timestamp follows.
-    cut
-        Set if the last sample is garbage, which an outlet that closes while recorded may leave.
-    """
+    """One stream of a damaged recording."""
 
     header: RecordedHeader
     sample_count: int = 0
+    # first, last: timestamps of the first and last sample, 0 without samples.
     first: float = 0.0
     last: float = 0.0
-    lost: int = 0
+    lost: int = 0  # Estimated number of samples lost in the damage.
+    # Number of samples after damage whose time is unknown, because no timestamp follows.
     untimed: int = 0
     footer: Footer | None = None
     footer_at: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
     breaks: list[Break] = field(default_factory=list[Break])
     restamps: list[Rewrite] = field(default_factory=list[Rewrite])
+    # Set if the last sample is garbage, which an outlet that closes while recorded may leave.
     cut: Cut | None = None
     _newest: tuple[Chunk, tuple[float, ...]] | None = None
     _recent: tuple[float, ...] = ()
@@ -240,27 +223,17 @@ class Orphans:
 
 @dataclass(slots=True)
 class Survey:
-    """What can be read from a recording.
-
-    Attributes
-    ----------
-    streams, orphans
-        By stream number.
-    damages
-        Bytes that cannot be read.
-    new_headers
-        Headers that were fixed or taken from another recording, by stream number.
-    renumbered
-        Numbers of the streams whose number in the file is another one's, too.
-    """
+    """What can be read from a recording."""
 
     size: int
+    # streams, orphans: by stream number.
     streams: dict[int, KeptStream]
     orphans: dict[int, Orphans]
-    damages: tuple[Damage, ...]
+    damages: tuple[Damage, ...]  # Bytes that cannot be read.
     has_file_header: bool
+    # Headers that were fixed or taken from another recording, by stream number.
     new_headers: dict[int, NewHeader]
-    renumbered: list[int]
+    renumbered: list[int]  # Numbers of the streams whose number in the file is another one's, too.
     # Places: start and end; of chunks that get another number, that as well.
     _dropped: array[int]
     _moved: array[int]
