@@ -66,18 +66,10 @@ _Kept = tuple[float, float, float]
 
 
 class Beat(NamedTuple):
-    """A heartbeat in a waveform.
+    """A heartbeat in a waveform."""
 
-    Attributes
-    ----------
-    stamp
-        Stamp of the sample at the apex.
-    apex_s
-        Time of the apex, interpolated between samples.
-    """
-
-    stamp: float
-    apex_s: float
+    stamp: float  # Stamp of the sample at the apex.
+    apex_s: float  # Time of the apex, interpolated between samples.
 
 
 class Polarity:

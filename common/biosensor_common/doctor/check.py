@@ -80,32 +80,21 @@ def error(what: str, why: str, fix: str) -> Finding:
 
 @dataclass(frozen=True, slots=True)
 class Guide:
-    """Texts of one program for its findings; the fixes are exact commands or clicks.
+    """Texts of one program for its findings; the fixes are exact commands or clicks."""
 
-    Attributes
-    ----------
-    program
-        Its name in a sentence: ``"the agent"``.
-    libraries
-        Import names of its required packages, with how to install each.
-    ask_itself, ask_others
-        How LSL programs of this computer, and of another one, are made to ask this computer
-        directly; ``{peer}`` is replaced by an address of this computer.
-    alone
-        How to run only the check ``{check}``, and to report it if it fails.
-    """
-
-    program: str
+    program: str  # Its name in a sentence: `"the agent"`.
     package: str
     distribution: str
     install: str
     install_pylsl: str
-    libraries: Mapping[str, str]
+    libraries: Mapping[str, str]  # Import names of its required packages, with how to install each.
+    # ask_itself, ask_others: how LSL programs of this computer, and of another one, are made to ask
+    # this computer directly; `{peer}` is replaced by an address of this computer.
     ask_itself: str
     ask_others: str
     correct_file: str
     edit: str
-    alone: str
+    alone: str  # How to run only the check `{check}`, and to report it if it fails.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,22 +142,14 @@ class Category(StrEnum):
 
 
 class Check(NamedTuple):
-    """One check: its name for ``--only``, and its help text.
-
-    Attributes
-    ----------
-    module
-        Module with a function of the check's name; it is imported when the check is run.
-    program
-        The only program that has the check; empty for all.
-    """
+    """One check: its name for ``--only``, and its help text."""
 
     name: str
     category: Category
     title: str
-    module: str
+    module: str  # Module with a function of the check's name; it is imported when the check is run.
     limit_s: float = 10.0
-    program: str = ""
+    program: str = ""  # The only program that has the check; empty for all.
 
     def load(self) -> Examine:
         """Import the check's function."""

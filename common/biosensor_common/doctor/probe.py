@@ -35,17 +35,7 @@ _LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
 
 @dataclass(slots=True)
 class SurveyedStream:
-    """One stream as seen from this computer.
-
-    Attributes
-    ----------
-    offset_s
-        Correction of its clock in s; None if it could not be measured.
-    stamp_error_s
-        Corrected stamp of a new sample minus its arrival time, in s; None if no sample came.
-    data_port
-        TCP port of its data over IPv4; 0 if it has none.
-    """
+    """One stream as seen from this computer."""
 
     name: str
     source_id: str
@@ -53,10 +43,11 @@ class SurveyedStream:
     host: str
     format: str
     ports: list[int] = field(default_factory=list[int])
-    offset_s: float | None = None
+    offset_s: float | None = None  # Correction of its clock in s; None if it could not be measured.
     round_trip_s: float | None = None
+    # Corrected stamp of a new sample minus its arrival time, in s; None if no sample came.
     stamp_error_s: float | None = None
-    data_port: int = 0
+    data_port: int = 0  # TCP port of its data over IPv4; 0 if it has none.
     session: str = ""
 
 

@@ -42,27 +42,17 @@ class Protocol(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One inbound rule, which allows or blocks.
-
-    Attributes
-    ----------
-    program
-        Full path; empty for all programs.
-    ports
-        Ranges, each with its end; None for all.
-    profiles
-        ``Private``, ``Domain``, ``Public``; all of them if none is named.
-    is_local
-        Whether the rule is set on this PC, not by its domain or device management.
-    """
+    """One inbound rule, which allows or blocks."""
 
     name: str
     allows: bool
     is_active: bool = True
-    program: str = ""
+    program: str = ""  # Full path; empty for all programs.
     protocols: frozenset[Protocol] = frozenset(Protocol)
-    ports: tuple[tuple[int, int], ...] | None = None
+    ports: tuple[tuple[int, int], ...] | None = None  # Ranges, each with its end; None for all.
+    # `Private`, `Domain`, `Public`; all of them if none is named.
     profiles: frozenset[str] = frozenset()
+    # Whether the rule is set on this PC, not by its domain or device management.
     is_local: bool = True
 
     def holds_in(self, profile: str) -> bool:

@@ -220,20 +220,12 @@ _log = structlog.get_logger("biosensor_gateway.agent")
 
 @dataclass(frozen=True, slots=True)
 class DeviceChanges:
-    """The changes that new settings make to an agent's devices, as ``sensor/unit``.
-
-    Attributes
-    ----------
-    restarted
-        Devices whose entry in the settings has changed.
-    kept
-        Devices that go on streaming.
-    """
+    """The changes that new settings make to an agent's devices, as ``sensor/unit``."""
 
     added: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
-    restarted: tuple[str, ...] = ()
-    kept: tuple[str, ...] = ()
+    restarted: tuple[str, ...] = ()  # Devices whose entry in the settings has changed.
+    kept: tuple[str, ...] = ()  # Devices that go on streaming.
 
 
 class DeviceSet:

@@ -53,28 +53,15 @@ _HOW = {
 
 
 class Absence(NamedTuple):
-    """A device that does not send all of its streams.
-
-    Attributes
-    ----------
-    name
-        Its name for people, with its participant.
-    is_partial
-        Whether it streams, but something is wrong with some of its streams.
-    since
-        Unix time in s; None if the agent does not report it.
-    sentence
-        Name, state, time and error, without a full stop.
-    sources
-        source_ids of its streams that the agent has opened; empty while it sends some.
-    """
+    """A device that does not send all of its streams."""
 
     device: DeviceIdentity
-    name: str
+    name: str  # Its name for people, with its participant.
     is_paused: bool
-    is_partial: bool
-    since: float | None
-    sentence: str
+    is_partial: bool  # Whether it streams, but something is wrong with some of its streams.
+    since: float | None  # Unix time in s; None if the agent does not report it.
+    sentence: str  # Name, state, time and error, without a full stop.
+    # source_ids of its streams that the agent has opened; empty while it sends some.
     sources: frozenset[str]
 
 

@@ -33,16 +33,10 @@ _FIELDS = ("sensor", "unit", "participant", "label")
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """A pause as it is stored.
-
-    Attributes
-    ----------
-    since
-        Local time, with its offset.
-    """
+    """A pause as it is stored."""
 
     identity: DeviceIdentity
-    since: datetime
+    since: datetime  # Local time, with its offset.
 
     def holds_for(self, identity: DeviceIdentity) -> bool:
         """Whether this pause applies to a device, also if its settings were changed."""

@@ -28,21 +28,11 @@ _POLL_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """A device, or an agent, that is not ready.
+    """A device, or an agent, that is not ready."""
 
-    Attributes
-    ----------
-    device
-        Name of the device; empty if there is no agent.
-    streams
-        source_ids of the streams that are missing.
-    why
-        The reason, as far as it is known.
-    """
-
-    device: str
-    streams: tuple[str, ...]
-    why: str
+    device: str  # Name of the device; empty if there is no agent.
+    streams: tuple[str, ...]  # source_ids of the streams that are missing.
+    why: str  # The reason, as far as it is known.
 
     @property
     def sentence(self) -> str:

@@ -16,61 +16,31 @@ from biosensor_gateway.devices.registry import declaration
 
 
 class ClockStatus(BaseModel):
-    """How a device's clock is mapped to the LSL clock; see `biosensor_common.device_clock`.
+    """How a device's clock is mapped to the LSL clock; see `biosensor_common.device_clock`."""
 
-    Attributes
-    ----------
-    offset_s
-        LSL time minus device time at the newest device time, in seconds; it contains the
-        shortest transmission delay.
-    drift_ppm
-        LSL microseconds gained per device second: positive for a slow device clock.
-    residual_rms_s
-        RMS distance in seconds of the earliest packet of each half second from the lower
-        envelope.
-    reanchors
-        How often the mapping was restarted after a clock step.
-    observations
-        Number of packets that the mapping is computed from.
-    newest_s
-        LSL time of the newest device time, in seconds.
-    """
-
+    # LSL time minus device time at the newest device time, in seconds; it contains the shortest
+    # transmission delay.
     offset_s: float
-    drift_ppm: float
+    drift_ppm: float  # LSL microseconds gained per device second: positive for a slow device clock.
+    # RMS distance in seconds of the earliest packet of each half second from the lower envelope.
     residual_rms_s: float
-    reanchors: int
-    observations: int
-    newest_s: float
+    reanchors: int  # How often the mapping was restarted after a clock step.
+    observations: int  # Number of packets that the mapping is computed from.
+    newest_s: float  # LSL time of the newest device time, in seconds.
 
 
 class RefusedStatus(BaseModel):
-    """Something that was not passed on unchanged; see `biosensor_common.refusal`.
+    """Something that was not passed on unchanged; see `biosensor_common.refusal`."""
 
-    Attributes
-    ----------
-    what
-        A word of `biosensor_common.refusal.Refusal`.
-    about
-        LSL name of its stream, unless it is in the status of that stream.
-    level
-        ``warn`` or ``error``.
-    sentence
-        For people.
-    first_s, last_s
-        LSL time in seconds.
-    now
-        Whether it still happens, or happened within the last seconds.
-    """
-
-    what: str
-    about: str = ""
-    level: str
-    sentence: str
+    what: str  # A word of `biosensor_common.refusal.Refusal`.
+    about: str = ""  # LSL name of its stream, unless it is in the status of that stream.
+    level: str  # `warn` or `error`.
+    sentence: str  # For people.
     count: int
+    # first_s, last_s: LSL time in seconds.
     first_s: float
     last_s: float
-    now: bool
+    now: bool  # Whether it still happens, or happened within the last seconds.
 
     @classmethod
     def of(cls, refusals: Refusals) -> list[RefusedStatus]:
@@ -119,22 +89,14 @@ class StreamStatus(BaseModel):
 
 
 class DeclaredStream(BaseModel):
-    """A declared stream, for programs that read only the agent's status.
-
-    Attributes
-    ----------
-    nominal_hz
-        0 for irregular streams; None if the device reports it when it connects.
-    is_text
-        Whether its samples are strings.
-    labels, units
-        Of its channels.
-    """
+    """A declared stream, for programs that read only the agent's status."""
 
     data_name: str
     content_type: str
+    # 0 for irregular streams; None if the device reports it when it connects.
     nominal_hz: float | None
-    is_text: bool
+    is_text: bool  # Whether its samples are strings.
+    # labels, units: of its channels.
     labels: list[str]
     units: list[str]
 
@@ -152,47 +114,24 @@ class DeclaredStream(BaseModel):
 
 
 class DeviceFacts(BaseModel):
-    """One device, without its streams.
+    """One device, without its streams."""
 
-    Attributes
-    ----------
-    sensor, unit, participant, label
-        Identity of the device.
-    state
-        A value of `biosensor_gateway.agent.device_states.State`.
-    paused
-        Whether its participant has withdrawn, so that nothing is sent.
-    since
-        Unix time in seconds since when it is paused or does not stream; None while it streams.
-    worn
-        None if unknown.
-    connections
-        How often it was connected.
-    error
-        Why it does not stream, in one sentence; None if nothing is wrong.
-    dropped_bytes
-        Number of received bytes that were not part of a valid message.
-    battery_percent
-        None if unknown, and while the device is not connected.
-    clock
-        None before its first packet.
-    refusals
-        What was refused before it became a sample of a stream.
-    """
-
+    # sensor, unit, participant, label: identity of the device.
     sensor: str
     unit: str
     participant: str
     label: str
-    state: str
-    paused: bool
-    worn: bool | None
-    connections: int
-    error: str | None
-    dropped_bytes: int
-    battery_percent: float | None
-    clock: ClockStatus | None
+    state: str  # A value of `biosensor_gateway.agent.device_states.State`.
+    paused: bool  # Whether its participant has withdrawn, so that nothing is sent.
+    worn: bool | None  # None if unknown.
+    connections: int  # How often it was connected.
+    error: str | None  # Why it does not stream, in one sentence; None if nothing is wrong.
+    dropped_bytes: int  # Number of received bytes that were not part of a valid message.
+    battery_percent: float | None  # None if unknown, and while the device is not connected.
+    clock: ClockStatus | None  # None before its first packet.
+    # Unix time in seconds since when it is paused or does not stream; None while it streams.
     since: float | None = None
+    # What was refused before it became a sample of a stream.
     refusals: list[RefusedStatus] = Field(default_factory=list[RefusedStatus])
 
 
@@ -212,32 +151,19 @@ class DeviceStatus(DeviceFacts):
 
 
 class AgentFacts(BaseModel):
-    """An agent, without its devices; the defaults are for when no agent runs.
+    """An agent, without its devices; the defaults are for when no agent runs."""
 
-    Attributes
-    ----------
-    written
-        Time of this status, Unix time in seconds.
-    lsl_time
-        The same as LSL time, the clock of `newest_s` and `last_stamp`.
-    restarts, last_end
-        How often the agent was restarted after a crash, and how it ended last.
-    started_s
-        When the agent began, as LSL time, as in the heartbeats of its events.
-    session
-        LSL session in which it sends; empty if unknown.
-    refusals
-        What of the agent's own streams was not sent, or not received.
-    """
-
-    written: float | None = None
-    lsl_time: float | None = None
+    written: float | None = None  # Time of this status, Unix time in seconds.
+    lsl_time: float | None = None  # The same as LSL time, the clock of `newest_s` and `last_stamp`.
+    # When the agent began, as LSL time, as in the heartbeats of its events.
     started_s: float | None = None
     process: int | None = None
     virtual: bool = False
+    # restarts, last_end: how often the agent was restarted after a crash, and how it ended last.
     restarts: int = 0
     last_end: str = ""
-    session: str = ""
+    session: str = ""  # LSL session in which it sends; empty if unknown.
+    # What of the agent's own streams was not sent, or not received.
     refusals: list[RefusedStatus] = Field(default_factory=list[RefusedStatus])
 
 

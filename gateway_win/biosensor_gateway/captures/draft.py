@@ -173,24 +173,15 @@ class Phase(StrEnum):
 
 
 class Progress(NamedTuple):
-    """Progress of a capture.
-
-    Attributes
-    ----------
-    sensor
-        Name of the sensor; empty without a capture.
-    elapsed_s, seconds
-        Time since the device was connected, and total time from then on.
-    problem
-        Why the capture failed: a sentence.
-    """
+    """Progress of a capture."""
 
     phase: Phase = Phase.NONE
-    sensor: str = ""
+    sensor: str = ""  # Name of the sensor; empty without a capture.
+    # elapsed_s, seconds: time since the device was connected, and total time from then on.
     elapsed_s: float = 0.0
     seconds: float = 0.0
     packets: int = 0
-    problem: str = ""
+    problem: str = ""  # Why the capture failed: a sentence.
 
 
 class CaptureDesk:

@@ -58,26 +58,16 @@ class Row(BaseModel):
 
 
 class Event(BaseModel):
-    """One event on a link.
-
-    Attributes
-    ----------
-    t
-        Seconds since the first link was opened.
-    link
-        Number of the connection, from 0.
-    took
-        How long an answer took [s].
-    """
+    """One event on a link."""
 
     model_config = _STRICT
 
-    t: float
-    link: int = Field(ge=0)
+    t: float  # Seconds since the first link was opened.
+    link: int = Field(ge=0)  # Number of the connection, from 0.
     what: What
     at: Place = ""
     data: Hex = ""
-    took: float = Field(default=0.0, ge=0)
+    took: float = Field(default=0.0, ge=0)  # How long an answer took [s].
     error: Text = ""
     seen: Advertised | None = None
     table: tuple[Row, ...] = ()
@@ -102,27 +92,7 @@ class Arrivals(StrEnum):
 
 
 class Header(BaseModel):
-    """Description of a capture.
-
-    Attributes
-    ----------
-    settings
-        Settings of the device that differ from the defaults.
-    left_out
-        Names of settings with free text, which may identify the owner or the place.
-    system, radio
-        Of the computer that recorded it.
-    recorded
-        Year and month.
-    seconds
-        From the first event to the last.
-    failed
-        How often a link could not be opened, by reason.
-    source
-        Source of the bytes if another program recorded them; empty for this one.
-    note
-        Observations of the person who recorded it.
-    """
+    """Description of a capture."""
 
     model_config = _STRICT
 
@@ -131,18 +101,22 @@ class Header(BaseModel):
     manufacturer: Text = ""
     model: Text = ""
     firmware: Text = ""
+    # Settings of the device that differ from the defaults.
     settings: Mapping[str, Any] = Field(default_factory=dict[str, Any])
+    # Names of settings with free text, which may identify the owner or the place.
     left_out: tuple[Text, ...] = ()
+    # system, radio: of the computer that recorded it.
     system: Text = ""
     radio: Text = ""
     gateway: Text = ""
-    recorded: Text = ""
-    seconds: float = 0.0
+    recorded: Text = ""  # Year and month.
+    seconds: float = 0.0  # From the first event to the last.
+    # How often a link could not be opened, by reason.
     failed: Mapping[str, int] = Field(default_factory=dict[str, int])
     licence: Text = LICENCE
     consent: Text = ""
-    source: Text = ""
-    note: Text = ""
+    source: Text = ""  # Source of the bytes if another program recorded them; empty for this one.
+    note: Text = ""  # Observations of the person who recorded it.
     arrivals: Arrivals = Arrivals.MEASURED
 
 

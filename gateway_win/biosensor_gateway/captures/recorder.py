@@ -125,19 +125,11 @@ def _event(link: int, passed: Passed, begin_s: float) -> Event:
 
 
 class Taken(NamedTuple):
-    """A capture before consent.
-
-    Attributes
-    ----------
-    replaced
-        What was replaced in it.
-    test
-        Outcome of the driver's test of the device.
-    """
+    """A capture before consent."""
 
     capture: Capture
-    replaced: list[Replaced]
-    test: DeviceTest
+    replaced: list[Replaced]  # What was replaced in it.
+    test: DeviceTest  # Outcome of the driver's test of the device.
 
 
 async def take(settings: DeviceSettings, seconds: float, recorder: Recorder | None = None) -> Taken:

@@ -40,22 +40,13 @@ _HEX_LETTERS = (string.digits, "ABCDEF", "abcdef")
 
 
 class Replaced(NamedTuple):
-    """Something that was replaced.
+    """Something that was replaced."""
 
-    Attributes
-    ----------
-    kind
-        ``address``, ``serial number``, ``name``, ``identifier``, ``secret``.
-    secret, pseudonym
-        Before and after.
-    times
-        How often it was found in payloads.
-    """
-
-    kind: str
+    kind: str  # `address`, `serial number`, `name`, `identifier`, `secret`.
+    # secret, pseudonym: before and after.
     secret: str
     pseudonym: str
-    times: int
+    times: int  # How often it was found in payloads.
 
 
 class Redaction:

@@ -49,19 +49,13 @@ _FILLED = {"port": UNIT, "host": UNIT, "url": URL}
 
 @dataclass(slots=True)
 class StreamReport:
-    """Outcome of one stream.
-
-    Attributes
-    ----------
-    lost, refused
-        Samples lost by the device's counters, and samples that were refused.
-    ages_s
-        Time from the stamp of each packet's last sample to its arrival [s].
-    """
+    """Outcome of one stream."""
 
     samples: int = 0
+    # lost, refused: samples lost by the device's counters, and samples that were refused.
     lost: int = 0
     refused: int = 0
+    # Time from the stamp of each packet's last sample to its arrival [s].
     ages_s: list[float] = field(default_factory=list[float])
 
     @property
@@ -82,31 +76,20 @@ class StreamReport:
 
 @dataclass(slots=True)
 class Report:
-    """Outcome of the replay of a capture.
-
-    Attributes
-    ----------
-    streams
-        Streams with samples or losses, by data name.
-    dropped_bytes
-        Bytes that were not part of a valid message.
-    sentences
-        What was not passed on unchanged, in the agent's words.
-    problems
-        Why the replay differs from the capture; empty if it does not.
-    notes
-        Other information.
-    """
+    """Outcome of the replay of a capture."""
 
     info: DeviceInfo | None = None
     connections: int = 0
     seconds: float = 0.0
+    # Streams with samples or losses, by data name.
     streams: dict[str, StreamReport] = field(default_factory=dict[str, StreamReport])
-    dropped_bytes: int = 0
+    dropped_bytes: int = 0  # Bytes that were not part of a valid message.
     reanchors: int = 0
+    # What was not passed on unchanged, in the agent's words.
     sentences: list[str] = field(default_factory=list[str])
+    # Why the replay differs from the capture; empty if it does not.
     problems: list[str] = field(default_factory=list[str])
-    notes: list[str] = field(default_factory=list[str])
+    notes: list[str] = field(default_factory=list[str])  # Other information.
 
 
 class _Nowhere:

@@ -31,39 +31,23 @@ _Fact = TypeVar("_Fact")
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A process of one of our programs.
-
-    Attributes
-    ----------
-    user
-        Empty if the system does not report it.
-    words
-        Its command line; empty if the system does not report it.
-    family
-        Process ids of itself, its ancestors and descendants, and of the other processes that its
-        agent's supervisor has started.
-    """
+    """A process of one of our programs."""
 
     number: int
-    user: str
-    words: tuple[str, ...]
+    user: str  # Empty if the system does not report it.
+    words: tuple[str, ...]  # Its command line; empty if the system does not report it.
+    # Process ids of itself, its ancestors and descendants, and of the other processes that its
+    # agent's supervisor has started.
     family: frozenset[int]
 
 
 @dataclass(frozen=True, slots=True)
 class Closable:
-    """The programs that one user's commands can close.
-
-    Attributes
-    ----------
-    agent
-        Process id of the agent; None if none runs.
-    page, recording
-        Whether one is running.
-    """
+    """The programs that one user's commands can close."""
 
     user: str
-    agent: int | None
+    agent: int | None  # Process id of the agent; None if none runs.
+    # page, recording: whether one is running.
     page: bool
     recording: bool
 

@@ -45,18 +45,10 @@ _KEPT = 0
 
 
 class Wanted(NamedTuple):
-    """A requested virtual device.
+    """A requested virtual device."""
 
-    Attributes
-    ----------
-    name
-        ``zephyr`` or ``zephyr:recording``.
-    participant
-        The wearer; empty for none in particular.
-    """
-
-    name: str
-    participant: str = ""
+    name: str  # `zephyr` or `zephyr:recording`.
+    participant: str = ""  # The wearer; empty for none in particular.
 
 
 class Scene:

@@ -43,19 +43,11 @@ GUIDE = Guide(
 
 @dataclass(frozen=True, slots=True)
 class Context(check.Context):
-    """The computer and the settings that are examined.
+    """The computer and the settings that are examined."""
 
-    Attributes
-    ----------
-    settings_path
-        The settings file, which need not exist.
-    devices
-        Devices of the file; empty if it cannot be read.
-    """
-
-    settings_path: Path
+    settings_path: Path  # The settings file, which need not exist.
     state_folder: Path
-    devices: tuple[DeviceSettings, ...] = ()
+    devices: tuple[DeviceSettings, ...] = ()  # Devices of the file; empty if it cannot be read.
     keep_awake: bool = True
     problem: Exception | None = None
     lab_recorder_port: int = LAB_RECORDER_PORT

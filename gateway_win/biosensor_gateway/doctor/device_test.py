@@ -28,68 +28,40 @@ _POLL_S = 0.05
 
 
 class StreamTestResult(BaseModel):
-    """Outcome of one stream in a test.
-
-    Attributes
-    ----------
-    nominal_hz
-        Nominal rate; 0 for irregular streams.
-    measured_hz
-        Rate by the samples' stamps; None if unknown.
-    last
-        Newest values, or text.
-    """
+    """Outcome of one stream in a test."""
 
     samples: int
-    nominal_hz: float
-    measured_hz: float | None
-    last: list[float | str | None]
+    nominal_hz: float  # Nominal rate; 0 for irregular streams.
+    measured_hz: float | None  # Rate by the samples' stamps; None if unknown.
+    last: list[float | str | None]  # Newest values, or text.
 
 
 class DeviceTestResult(BaseModel):
-    """Outcome of a device's test, for JSON.
-
-    Attributes
-    ----------
-    model, serial_number, firmware_version
-        None if it never connected.
-    problems
-        One sentence each; empty if nothing is wrong.
-    streams
-        By data name.
-    """
+    """Outcome of a device's test, for JSON."""
 
     connected: bool
+    # model, serial_number, firmware_version: none if it never connected.
     model: str | None
     serial_number: str | None
     firmware_version: str | None
-    problems: list[str]
-    streams: dict[str, StreamTestResult]
+    problems: list[str]  # One sentence each; empty if nothing is wrong.
+    streams: dict[str, StreamTestResult]  # By data name.
 
 
 @dataclass(slots=True)
 class StreamTest:
-    """Measurements of one stream.
-
-    Attributes
-    ----------
-    first_s, last_s
-        LSL times of the first and the newest sample.
-    settled_samples, settled_s
-        Number of samples, and LSL time of the newest, when the device's clock was known; 0 before.
-    last
-        Newest values, or text.
-    nominal_hz
-        0 for an irregular stream.
-    """
+    """Measurements of one stream."""
 
     samples: int = 0
+    # first_s, last_s: LSL times of the first and the newest sample.
     first_s: float = 0.0
     last_s: float = 0.0
+    # settled_samples, settled_s: number of samples, and LSL time of the newest, when the device's
+    # clock was known; 0 before.
     settled_samples: int = 0
     settled_s: float = 0.0
-    last: tuple[float | str, ...] = ()
-    nominal_hz: float = 0.0
+    last: tuple[float | str, ...] = ()  # Newest values, or text.
+    nominal_hz: float = 0.0  # 0 for an irregular stream.
     units: tuple[str, ...] = ()
 
     @property
@@ -112,16 +84,11 @@ class StreamTest:
 
 @dataclass(slots=True)
 class DeviceTest:
-    """Outcome of testing one device.
-
-    Attributes
-    ----------
-    problems
-        One sentence each; empty if nothing is wrong.
-    """
+    """Outcome of testing one device."""
 
     info: DeviceInfo | None = None
     streams: dict[str, StreamTest] = field(default_factory=dict[str, StreamTest])
+    # One sentence each; empty if nothing is wrong.
     problems: list[str] = field(default_factory=list[str])
 
 

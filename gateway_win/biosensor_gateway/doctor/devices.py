@@ -80,20 +80,13 @@ _STANDBY_TIMEOUT = UUID("29f6c1db-86da-48c5-9fdb-f2b67b1f44da")
 
 
 class Service(NamedTuple):
-    """Address of a vendor's service, or of a serial port behind TCP.
-
-    Attributes
-    ----------
-    program
-        Program that has to run there.
-    ca_file
-        File of the certificate authority, empty for the system's; None for a service without TLS.
-    """
+    """Address of a vendor's service, or of a serial port behind TCP."""
 
     title: str
     host: str
     port: int
-    program: str
+    program: str  # Program that has to run there.
+    # File of the certificate authority, empty for the system's; None for a service without TLS.
     ca_file: str | None = None
 
 

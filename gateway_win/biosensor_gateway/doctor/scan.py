@@ -28,67 +28,37 @@ _log = structlog.get_logger("biosensor_gateway.scan")
 
 
 class FoundDevice(BaseModel):
-    """A device that a search found.
-
-    Attributes
-    ----------
-    title
-        Name of the kind of sensor for people.
-    rssi_dbm
-        Signal strength; None without a radio.
-    settings, toml
-        Fields for its table in the settings, and the same as lines of the file.
-    is_known
-        Whether it is in the settings already.
-    """
+    """A device that a search found."""
 
     sensor: str
-    title: str
+    title: str  # Name of the kind of sensor for people.
     name: str
-    rssi_dbm: int | None
+    rssi_dbm: int | None  # Signal strength; None without a radio.
+    # settings, toml: fields for its table in the settings, and the same as lines of the file.
     settings: dict[str, Any]
     toml: str
-    is_known: bool
+    is_known: bool  # Whether it is in the settings already.
 
 
 class SearchedPlace(BaseModel):
-    """One kind of place that was searched.
-
-    Attributes
-    ----------
-    problem
-        Why the search was not possible, one sentence; None if it was.
-    others
-        Other devices or ports, in words.
-    advice
-        How to distinguish devices with the same name.
-    """
+    """One kind of place that was searched."""
 
     where: str
-    problem: str | None = None
-    others: list[str] = Field(default_factory=list[str])
+    problem: str | None = None  # Why the search was not possible, one sentence; None if it was.
+    others: list[str] = Field(default_factory=list[str])  # Other devices or ports, in words.
+    # How to distinguish devices with the same name.
     advice: list[str] = Field(default_factory=list[str])
     found: list[FoundDevice] = Field(default_factory=list[FoundDevice])
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One kind of place that was searched.
-
-    Attributes
-    ----------
-    found
-        Devices that a driver recognizes, strongest signal first.
-    others
-        Other devices or ports, in words.
-    problem
-        Why the search was not possible, one sentence; empty if it was.
-    """
+    """One kind of place that was searched."""
 
     title: str
-    found: tuple[Found, ...] = ()
-    others: tuple[str, ...] = ()
-    problem: str = ""
+    found: tuple[Found, ...] = ()  # Devices that a driver recognizes, strongest signal first.
+    others: tuple[str, ...] = ()  # Other devices or ports, in words.
+    problem: str = ""  # Why the search was not possible, one sentence; empty if it was.
 
 
 async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Section]:

@@ -19,15 +19,10 @@ HR_QUALITY = "hr_live_quality"
 
 
 class Variability(NamedTuple):
-    """Heart-rate variability of one window.
+    """Heart-rate variability of one window."""
 
-    Attributes
-    ----------
-    rmssd_ms, sdnn_ms, pnn50_percent
-        By the Task Force's definitions, SDNN with n - 1; NaN with fewer than two intervals, or
-        without two neighbouring ones.
-    """
-
+    # rmssd_ms, sdnn_ms, pnn50_percent: by the Task Force's definitions, SDNN with n - 1; NaN with
+    # fewer than two intervals, or without two neighbouring ones.
     rmssd_ms: float
     sdnn_ms: float
     pnn50_percent: float

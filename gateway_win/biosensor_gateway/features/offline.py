@@ -44,26 +44,16 @@ SUFFIXES = (".xdf", ".csv")
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """Outcome of computing the features of a recording.
-
-    Attributes
-    ----------
-    counts
-        Number of samples of each stream of a feature, by its LSL name.
-    refused
-        Why a stream of a suitable type has no features; sentences.
-    remarks
-        Problems with the stamps of other streams, what could not be read, and whose data may be
-        another person's; sentences.
-    is_whole
-        Whether all of the recording could be read, is of one agent, and has no stream twice at the
-        same time.
-    """
+    """Outcome of computing the features of a recording."""
 
     written: Path
-    counts: dict[str, int]
-    refused: tuple[str, ...]
+    counts: dict[str, int]  # Number of samples of each stream of a feature, by its LSL name.
+    refused: tuple[str, ...]  # Why a stream of a suitable type has no features; sentences.
+    # Problems with the stamps of other streams, what could not be read, and whose data may be
+    # another person's; sentences.
     remarks: tuple[str, ...] = ()
+    # Whether all of the recording could be read, is of one agent, and has no stream twice at the
+    # same time.
     is_whole: bool = True
 
 

@@ -66,24 +66,15 @@ _SQI = (*channels(Unit.FRACTION, "quality"), *channels(Unit.BOOLEAN, *REASONS, "
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One stream of a feature.
-
-    Attributes
-    ----------
-    window_s
-        Length of the window of a value, in s; 0 for a single beat, breath or response.
-    delay_s
-        Usual time from the event that a value describes to its decision, in s.
-    every_s
-        Longest time between two values while nothing is wrong, in s.
-    """
+    """One stream of a feature."""
 
     name: str
     stream: StreamSpec
     algorithm: str
+    # Length of the window of a value, in s; 0 for a single beat, breath or response.
     window_s: float
-    delay_s: float
-    every_s: float
+    delay_s: float  # Usual time from the event that a value describes to its decision, in s.
+    every_s: float  # Longest time between two values while nothing is wrong, in s.
 
     @property
     def holds_s(self) -> float:

@@ -17,19 +17,11 @@ HR_STATE, BR_STATE = "hr_state", "br_state"
 
 
 class Event(NamedTuple):
-    """One sample of a feature.
-
-    Attributes
-    ----------
-    stamp
-        LSL time of the event that it describes, on the clock of the source.
-    values
-        One value per channel of the feature; NaN for no value.
-    """
+    """One sample of a feature."""
 
     feature: str
-    stamp: float
-    values: tuple[float, ...]
+    stamp: float  # LSL time of the event that it describes, on the clock of the source.
+    values: tuple[float, ...]  # One value per channel of the feature; NaN for no value.
 
 
 class Stage(Protocol):

@@ -71,27 +71,16 @@ _SKIN = "skin"
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A stream with features, or one that is a witness for other streams of its device.
-
-    Attributes
-    ----------
-    identity
-        Of the device; with lower-case ROS names also for another program's stream.
-    features
-        Features to compute; empty if the stream is only a witness.
-    columns
-        The channels that are used.
-    scale
-        Factor of its values.
-    """
+    """A stream with features, or one that is a witness for other streams of its device."""
 
     name: str
     source_id: str
     header: StreamHeader
+    # Of the device; with lower-case ROS names also for another program's stream.
     identity: DeviceIdentity
-    features: tuple[Feature, ...]
-    columns: range
-    scale: float
+    features: tuple[Feature, ...]  # Features to compute; empty if the stream is only a witness.
+    columns: range  # The channels that are used.
+    scale: float  # Factor of its values.
 
     @property
     def key(self) -> tuple[DeviceIdentity, str]:

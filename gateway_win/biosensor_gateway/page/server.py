@@ -32,19 +32,11 @@ _SIGNALS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signa
 
 
 class Role(NamedTuple):
-    """Limits of a server, by its kind of clients.
-
-    Attributes
-    ----------
-    max_message
-        Bytes of a message from a browser.
-    ends_within_s
-        Limit for requests that are being answered when the server ends.
-    """
+    """Limits of a server, by its kind of clients."""
 
     max_connections: int
-    max_message: int
-    ends_within_s: int
+    max_message: int  # Bytes of a message from a browser.
+    ends_within_s: int  # Limit for requests that are being answered when the server ends.
     compresses: bool = True
 
 

@@ -139,18 +139,10 @@ def _addresses() -> Sequence[str]:
 
 
 class Certificate(NamedTuple):
-    """A self-signed certificate.
+    """A self-signed certificate."""
 
-    Attributes
-    ----------
-    file
-        Certificate and private key, as PEM, readable only by this user.
-    fingerprint
-        SHA-256, as browsers show it.
-    """
-
-    file: Path
-    fingerprint: str
+    file: Path  # Certificate and private key, as PEM, readable only by this user.
+    fingerprint: str  # SHA-256, as browsers show it.
 
 
 def own_certificate(folder: Path, names: Sequence[str]) -> Certificate:

@@ -44,19 +44,11 @@ class Secret:
 
 @dataclass(frozen=True, slots=True)
 class SecretName:
-    """Name of a secret of a sensor; drivers declare theirs.
-
-    Attributes
-    ----------
-    name
-        Unique for the sensor.
-    variable
-        Environment variable with the secret; it takes precedence over the keyring.
-    """
+    """Name of a secret of a sensor; drivers declare theirs."""
 
     sensor: str
-    name: str
-    variable: str
+    name: str  # Unique for the sensor.
+    variable: str  # Environment variable with the secret; it takes precedence over the keyring.
     title: str
 
     @property

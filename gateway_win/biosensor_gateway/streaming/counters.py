@@ -31,29 +31,14 @@ GATEWAY = SensorSpec(
 
 @dataclass(slots=True)
 class Counters:
-    """Counts of one stream's samples on their way into LSL.
+    """Counts of one stream's samples on their way into LSL."""
 
-    Attributes
-    ----------
-    pushed
-        Samples handed to LSL.
-    lost
-        Samples that the device measured but that never reached the agent.
-    refused
-        Samples that failed the check of range, shape or stamp.
-    last_stamp
-        LSL time of the newest sample, 0 before the first.
-    withheld
-        Samples that reached the agent but were not sent, because of a pause.
-    waited
-        Samples that arrived before the first receiver; the newest of them are pushed to it.
-    """
-
-    pushed: int = 0
-    lost: int = 0
-    refused: int = 0
-    last_stamp: float = 0.0
-    withheld: int = 0
+    pushed: int = 0  # Samples handed to LSL.
+    lost: int = 0  # Samples that the device measured but that never reached the agent.
+    refused: int = 0  # Samples that failed the check of range, shape or stamp.
+    last_stamp: float = 0.0  # LSL time of the newest sample, 0 before the first.
+    withheld: int = 0  # Samples that reached the agent but were not sent, because of a pause.
+    # Samples that arrived before the first receiver; the newest of them are pushed to it.
     waited: int = field(default=0, compare=False)
 
 

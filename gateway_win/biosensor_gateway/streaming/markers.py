@@ -85,15 +85,10 @@ class TimedBy(StrEnum):
 
 
 class Timing(NamedTuple):
-    """Accuracy of a marker's time.
-
-    Attributes
-    ----------
-    uncertainty_s
-        Largest error in seconds, either way; None if it was not measured.
-    """
+    """Accuracy of a marker's time."""
 
     timed_by: TimedBy
+    # Largest error in seconds, either way; None if it was not measured.
     uncertainty_s: float | None = None
 
 

@@ -29,25 +29,14 @@ class Remedy(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """Streams that are expected and silent.
+    """Streams that are expected and silent."""
 
-    Attributes
-    ----------
-    streams
-        Data names.
-    seconds
-        Time since the last data of the stream that is silent for longest, while the agent ran.
-    attempts
-        New connections that did not help.
-    why
-        The reason that the device reports; empty if it reports none.
-    """
-
-    streams: frozenset[str]
+    streams: frozenset[str]  # Data names.
+    # Time since the last data of the stream that is silent for longest, while the agent ran.
     seconds: float
     remedy: Remedy
-    attempts: int = 0
-    why: str = ""
+    attempts: int = 0  # New connections that did not help.
+    why: str = ""  # The reason that the device reports; empty if it reports none.
 
 
 @dataclass(slots=True)

@@ -486,21 +486,11 @@ class Arrivals:
 
 
 class Jumps(NamedTuple):
-    """One jump, or several that are reported together.
+    """One jump, or several that are reported together."""
 
-    Attributes
-    ----------
-    cause
-        Cause of the last one.
-    seconds
-        Their sum; None if the size of one is unknown.
-    times
-        Their number.
-    """
-
-    cause: str
-    seconds: float | None
-    times: int = 1
+    cause: str  # Cause of the last one.
+    seconds: float | None  # Their sum; None if the size of one is unknown.
+    times: int = 1  # Their number.
 
 
 class JumpReports:

@@ -118,25 +118,15 @@ _PARTS = 4
 
 
 class _Checked(NamedTuple):
-    """Samples after the check.
+    """Samples after the check."""
 
-    Attributes
-    ----------
-    samples, times
-        To be sent.
-    refused
-        Number of samples of which at least one value was suppressed.
-    why
-        A clause with the value and the limit that it exceeds; empty if nothing is wrong.
-    what
-        The channel, if it is a single one.
-    """
-
+    # samples, times: to be sent.
     samples: ArrayLike
     times: Sequence[float]
-    refused: int = 0
+    refused: int = 0  # Number of samples of which at least one value was suppressed.
+    # A clause with the value and the limit that it exceeds; empty if nothing is wrong.
     why: str = ""
-    what: str = ""
+    what: str = ""  # The channel, if it is a single one.
 
 
 class Plausibility:

@@ -47,16 +47,11 @@ _MAC_CHROMIUMS = ("Google Chrome", "Microsoft Edge", "Chromium", "Brave Browser"
 
 
 class WayIn(NamedTuple):
-    """An address of a page on this computer that opens it once.
-
-    Attributes
-    ----------
-    redirect
-        Path at which `open_page` creates a file that redirects to the address, in a folder of its
-        own; empty where command lines are private. Whoever serves the page removes the folder.
-    """
+    """An address of a page on this computer that opens it once."""
 
     address: str
+    # Path at which `open_page` creates a file that redirects to the address, in a folder of its
+    # own; empty where command lines are private. Whoever serves the page removes the folder.
     redirect: str
 
 

@@ -22,21 +22,11 @@ _PAUSE_S = 0.01
 
 
 class RestartNotice(NamedTuple):
-    """Content of the file.
+    """Content of the file."""
 
-    Attributes
-    ----------
-    process
-        Process id of the supervisor.
-    at
-        When the agent is restarted (Unix time, in seconds).
-    last_end
-        How the agent has ended, in words.
-    """
-
-    process: int
-    at: float
-    last_end: str
+    process: int  # Process id of the supervisor.
+    at: float  # When the agent is restarted (Unix time, in seconds).
+    last_end: str  # How the agent has ended, in words.
 
     @classmethod
     def of_this_process(cls, delay_s: float, last_end: str) -> Self:

@@ -107,19 +107,11 @@ class _Characteristics:
 
 
 class Notification(NamedTuple):
-    """A value that the device sent without a request.
+    """A value that the device sent without a request."""
 
-    Attributes
-    ----------
-    uuid
-        Characteristic, 128-bit, lower case.
-    arrival
-        LSL time of its arrival, in seconds.
-    """
-
-    uuid: str
+    uuid: str  # Characteristic, 128-bit, lower case.
     data: bytes
-    arrival: float
+    arrival: float  # LSL time of its arrival, in seconds.
 
 
 class BleLink:

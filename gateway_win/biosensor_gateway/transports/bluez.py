@@ -21,25 +21,14 @@ _TIMEOUT_S = 3.0
 
 
 class KnownDevice(NamedTuple):
-    """A device that is in range, connected, or paired.
+    """A device that is in range, connected, or paired."""
 
-    Attributes
-    ----------
-    path
-        BlueZ's name of the device.
-    advertisement
-        Its latest advertisement.
-    is_connected
-        To any program, including one that has ended.
-    is_listened_to
-        Whether a program is subscribed to its measurements, also during connection setup. BlueZ
-        ends the subscriptions of a program that has ended.
-    """
-
-    path: str
-    advertisement: Advertisement
-    is_connected: bool
+    path: str  # BlueZ's name of the device.
+    advertisement: Advertisement  # Its latest advertisement.
+    is_connected: bool  # To any program, including one that has ended.
     is_paired: bool
+    # Whether a program is subscribed to its measurements, also during connection setup. BlueZ ends
+    # the subscriptions of a program that has ended.
     is_listened_to: bool
 
 

@@ -64,26 +64,15 @@ class Characteristic(Protocol):
 
 @dataclass(slots=True)
 class Passed:
-    """An event on a link.
-
-    Attributes
-    ----------
-    at
-        UUID of the characteristic; empty if the link has none.
-    data
-        The bytes that were read, written, sent or received.
-    begun_s, ended_s
-        LSL times of the request and its answer; equal for data without a request.
-    error
-        ``att:14`` or the reason of another error; empty on success.
-    """
+    """An event on a link."""
 
     what: What
-    at: str = ""
-    data: bytes = b""
+    at: str = ""  # UUID of the characteristic; empty if the link has none.
+    data: bytes = b""  # The bytes that were read, written, sent or received.
+    # begun_s, ended_s: LSL times of the request and its answer; equal for data without a request.
     begun_s: float = 0.0
     ended_s: float = 0.0
-    error: str = ""
+    error: str = ""  # `att:14` or the reason of another error; empty on success.
 
 
 class Tap(Protocol):

@@ -58,24 +58,13 @@ class Waiting:
     """Progress of waiting for topics.
 
     Times are on one monotonic clock, in seconds.
-
-    Attributes
-    ----------
-    expected
-        Topics that must have data.
-    asked_s
-        How long to wait after the first sample; None for no limit.
-    is_busy
-        Whether other programs kept the computer busy.
-    is_cut_short
-        Whether it was stopped before the time was over.
     """
 
-    expected: Collection[str]
+    expected: Collection[str]  # Topics that must have data.
     started_s: float
-    asked_s: float | None
-    is_busy: bool = False
-    is_cut_short: bool = False
+    asked_s: float | None  # How long to wait after the first sample; None for no limit.
+    is_busy: bool = False  # Whether other programs kept the computer busy.
+    is_cut_short: bool = False  # Whether it was stopped before the time was over.
     _came_s: dict[str, float] = field(default_factory=dict[str, float])
 
     def came(self, topic: str, now_s: float) -> None:
@@ -169,19 +158,14 @@ _LEAST_VALUE, _LEAST_TOPIC = 12, 20
 
 @dataclass(slots=True)
 class Row:
-    """The data received on one topic.
-
-    Attributes
-    ----------
-    facts
-        The values of the topic's status in ``/diagnostics``.
-    """
+    """The data received on one topic."""
 
     topic: str
     message_type: MessageType
     received: int = 0
     newest: float = 0.0
     last: Any = None
+    # The values of the topic's status in `/diagnostics`.
     facts: dict[str, str] = field(default_factory=dict[str, str])
     meter: RateMeter = field(default_factory=RateMeter)
 

@@ -28,19 +28,14 @@ RosMessage: TypeAlias = Any
 
 
 class MessageInfo(TypedDict):
-    """Metadata of a message; None where the middleware does not provide it.
+    """Metadata of a message; None where the middleware does not provide it."""
 
-    Attributes
-    ----------
-    source_timestamp, received_timestamp
-        Times of publication and arrival, in nanoseconds since 1970.
-    is_cut
-        Whether rclpy has cut the text at a NUL character; only known of ``std_msgs/msg/String``.
-    """
-
+    # source_timestamp, received_timestamp: times of publication and arrival, in nanoseconds since
+    # 1970.
     source_timestamp: int
     received_timestamp: int
     publication_sequence_number: int | None
+    # Whether rclpy has cut the text at a NUL character; only known of `std_msgs/msg/String`.
     is_cut: NotRequired[bool]
 
 

@@ -85,36 +85,19 @@ ByPort = dict[int, bool]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Computer:
-    """One of the two computers, and how LSL is set up there.
-
-    Attributes
-    ----------
-    system
-        Its ``sys.platform``; empty if not in `SYSTEMS`.
-    address
-        Address of its own end of the conversation.
-    other
-        Address of the other end, as seen from this computer.
-    is_near
-        Whether the other address is in the network of one of its adapters.
-    keeps_to_itself
-        Whether its LSL searches for streams on this computer only.
-    asks_the_other
-        Whether its LSL asks the other computer directly (KnownPeers).
-    firewalls
-        Firewalls of Linux that are known to be active.
-    """
+    """One of the two computers, and how LSL is set up there."""
 
     name: str
-    system: Annotated[str, _known_system]
+    system: Annotated[str, _known_system]  # Its `sys.platform`; empty if not in `SYSTEMS`.
     program: Annotated[str, _program]
-    address: Address
-    other: Address
-    is_near: bool
+    address: Address  # Address of its own end of the conversation.
+    other: Address  # Address of the other end, as seen from this computer.
+    is_near: bool  # Whether the other address is in the network of one of its adapters.
     session: str
     ports: Ports
-    keeps_to_itself: bool = False
-    asks_the_other: bool = False
+    keeps_to_itself: bool = False  # Whether its LSL searches for streams on this computer only.
+    asks_the_other: bool = False  # Whether its LSL asks the other computer directly (KnownPeers).
+    # Firewalls of Linux that are known to be active.
     firewalls: Annotated[tuple[str, ...], _known_firewalls] = ()
 
 
@@ -148,17 +131,11 @@ class Opened:
 
 @dataclass(slots=True)
 class Arrivals:
-    """What the test ports received from the other computer.
+    """What the test ports received from the other computer."""
 
-    Attributes
-    ----------
-    multicast
-        Sender's addresses of received multicast; None if not tried.
-    discovery
-        Whether LSL's discovery port received anything; None if it could not be opened.
-    """
-
+    # Sender's addresses of received multicast; None if not tried.
     multicast: tuple[str, ...] | None = None
+    # Whether LSL's discovery port received anything; None if it could not be opened.
     discovery: bool | None = None
     udp: ByPort = field(default_factory=ByPort)
     tcp: ByPort = field(default_factory=ByPort)
@@ -166,47 +143,27 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How liblsl found and received the other's test stream.
+    """How liblsl found and received the other's test stream."""
 
-    Attributes
-    ----------
-    by_multicast
-        Whether it was found by multicast; None if not tried.
-    directly
-        Whether it was found by asking the other's address (KnownPeers).
-    address
-        IPv4 or IPv6 address from which its data came; empty without data.
-    offset_s, round_trip_s
-        Measurements of its clock; None if not possible.
-    """
-
-    by_multicast: bool | None = None
-    directly: bool = False
-    address: str = ""
+    by_multicast: bool | None = None  # Whether it was found by multicast; None if not tried.
+    directly: bool = False  # Whether it was found by asking the other's address (KnownPeers).
+    address: str = ""  # IPv4 or IPv6 address from which its data came; empty without data.
     received: bool = False
+    # offset_s, round_trip_s: measurements of its clock; None if not possible.
     offset_s: float | None = None
     round_trip_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """One computer with all of its results.
-
-    Attributes
-    ----------
-    own
-        Streams that are sent from this computer.
-    seen
-        Streams of all other computers.
-    reached
-        Uids of the other's streams whose data port could be opened from this computer.
-    """
+    """One computer with all of its results."""
 
     computer: Computer
     arrivals: Arrivals
     look: Look
-    own: tuple[Stream, ...] = ()
-    seen: tuple[Stream, ...] = ()
+    own: tuple[Stream, ...] = ()  # Streams that are sent from this computer.
+    seen: tuple[Stream, ...] = ()  # Streams of all other computers.
+    # Uids of the other's streams whose data port could be opened from this computer.
     reached: tuple[str, ...] = ()
 
 

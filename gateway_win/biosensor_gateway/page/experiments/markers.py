@@ -141,23 +141,14 @@ class Pace:
 
 
 class WebMark(NamedTuple):
-    """A marker with its time.
-
-    Attributes
-    ----------
-    key
-        Identifies the marker if it is sent again; None if it never is.
-    origin
-        Of the page.
-    at
-        LSL time in seconds.
-    """
+    """A marker with its time."""
 
     marker: str
     note: str
-    origin: str
-    at: float
+    origin: str  # Of the page.
+    at: float  # LSL time in seconds.
     timing: Timing
+    # Identifies the marker if it is sent again; None if it never is.
     key: tuple[str, int] | None = None
 
 

@@ -256,33 +256,19 @@ def claim_of(core: CoreFields) -> tuple[str, str, str, str]:
 
 @dataclass(slots=True, eq=False)
 class NetworkStream:
-    """A stream, over successive outlets.
+    """A stream, over successive outlets."""
 
-    Attributes
-    ----------
-    number
-        Identifies the stream on the page.
-    info, core, uid
-        Of the newest outlet.
-    seen_s
-        Local LSL time at which a resolver last reported that outlet.
-    header
-        None until it is read for the first time.
-    namesake
-        Its number among live senders that claim to be the same stream, from 1.
-    lost_s
-        Local LSL time at which its connection ended; None while it is connected.
-    """
-
-    number: int
+    number: int  # Identifies the stream on the page.
+    # info, core, uid: of the newest outlet.
     info: pylsl.StreamInfo
     core: CoreFields
     uid: str
-    seen_s: float
-    header: StreamHeader | None = None
-    namesake: int = 1
+    seen_s: float  # Local LSL time at which a resolver last reported that outlet.
+    header: StreamHeader | None = None  # None until it is read for the first time.
+    namesake: int = 1  # Its number among live senders that claim to be the same stream, from 1.
     note: str = ""
     has_description: bool = False
+    # Local LSL time at which its connection ended; None while it is connected.
     lost_s: float | None = None
     receiver: Receiver | None = None
     received: Received = field(init=False)

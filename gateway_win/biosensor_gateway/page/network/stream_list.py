@@ -33,21 +33,12 @@ def is_counters(stream: NetworkStream) -> bool:
 
 
 class Counted(NamedTuple):
-    """Counters that an agent reports of one of its streams.
+    """Counters that an agent reports of one of its streams."""
 
-    Attributes
-    ----------
-    lost
-        Number of samples that never reached the agent; None if it does not report it.
-    refused
-        What is currently not passed on unchanged, one sentence each.
-    away
-        State of its device while that does not send; else empty.
-    """
-
+    # Number of samples that never reached the agent; None if it does not report it.
     lost: int | None
-    refused: tuple[str, ...]
-    away: str = ""
+    refused: tuple[str, ...]  # What is currently not passed on unchanged, one sentence each.
+    away: str = ""  # State of its device while that does not send; else empty.
 
 
 def counted_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict[str, Counted]:

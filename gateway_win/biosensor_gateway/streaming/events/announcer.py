@@ -350,20 +350,11 @@ class ContactWatch:
 
 @dataclass(slots=True)
 class Gap:
-    """A period in which samples are missing; LSL times in seconds.
+    """A period in which samples are missing; LSL times in seconds."""
 
-    Attributes
-    ----------
-    since
-        Time of the newest sample before it.
-    until
-        Time of the first sample after it; None while there is none.
-    lost
-        Counted missing samples by data name.
-    """
-
-    since: float
-    until: float | None = None
+    since: float  # Time of the newest sample before it.
+    until: float | None = None  # Time of the first sample after it; None while there is none.
+    # Counted missing samples by data name.
     lost: Counter[str] = field(default_factory=Counter[str])
 
 

@@ -50,18 +50,10 @@ TEXTS = {
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """Values of the parameters for one stream.
+    """Values of the parameters for one stream."""
 
-    Attributes
-    ----------
-    raw
-        Publish every sample.
-    chunk
-        Publish chunks: the chunk name's ``Sensor_Enable`` and ``Chunk_Enable``.
-    """
-
-    raw: bool
-    chunk: bool
+    raw: bool  # Publish every sample.
+    chunk: bool  # Publish chunks: the chunk name's `Sensor_Enable` and `Chunk_Enable`.
     chunk_length: int
 
 

@@ -105,67 +105,35 @@ PAUSED = "paused"
 
 @dataclass(frozen=True, slots=True)
 class StreamFacts:
-    """Facts of one stream for a report.
-
-    Attributes
-    ----------
-    age_s
-        Age of the newest sample, on this machine's LSL clock.
-    rate
-        Measured rate in Hz.
-    correction_s, spread_s
-        Offset between the sender's LSL clock and ours, and its recent spread; None before
-        the first measurement.
-    delays
-        Delays from stamp to receipt of the samples since the last report.
-    lost_lately
-        Samples lost in the last 10 s.
-    refused
-        Present reports of data that was not published unchanged.
-    silent_s
-        Seconds since a report first saw the newest sample.
-    attached_s
-        How long the node has had this stream.
-    not_taken_lately
-        Messages of a backlog that were published in the last 10 s before the subscribers had
-        received the previous ones.
-    published_hz
-        Messages per second of the first topic, over the last 10 s.
-    is_fast
-        Whether that is faster than a usual subscriber receives them.
-    waited_s
-        Longest time that samples have waited in the node since the last report.
-    trouble
-        Sentence about the sending computer if it is silent, else empty.
-    twins
-        Computers of other senders with the same source_id that are left out.
-    senders
-        Computers of all senders with the same source_id that have a topic each.
-    doubled_s
-        For how many seconds another node has published its first topic, too; 0 if none does.
-    best_effort
-        Nodes that read the first topic with best effort; determined only if it is fast.
-    """
+    """Facts of one stream for a report."""
 
     topic: TopicName
     bridge: Bridge
-    age_s: float
-    rate: float
+    age_s: float  # Age of the newest sample, on this machine's LSL clock.
+    rate: float  # Measured rate in Hz.
+    # correction_s, spread_s: offset between the sender's LSL clock and ours, and its recent spread;
+    # None before the first measurement.
     correction_s: float | None
     spread_s: float
-    delays: Delays
-    lost_lately: int
-    refused: Sequence[Refused]
-    silent_s: float
-    attached_s: float
+    delays: Delays  # Delays from stamp to receipt of the samples since the last report.
+    lost_lately: int  # Samples lost in the last 10 s.
+    refused: Sequence[Refused]  # Present reports of data that was not published unchanged.
+    silent_s: float  # Seconds since a report first saw the newest sample.
+    attached_s: float  # How long the node has had this stream.
+    # Messages of a backlog that were published in the last 10 s before the subscribers had received
+    # the previous ones.
     not_taken_lately: int
-    published_hz: float
-    is_fast: bool
-    waited_s: float
-    trouble: str = ""
+    published_hz: float  # Messages per second of the first topic, over the last 10 s.
+    is_fast: bool  # Whether that is faster than a usual subscriber receives them.
+    waited_s: float  # Longest time that samples have waited in the node since the last report.
+    trouble: str = ""  # Sentence about the sending computer if it is silent, else empty.
+    # Nodes that read the first topic with best effort; determined only if it is fast.
     best_effort: Sequence[str] = ()
+    # Computers of other senders with the same source_id that are left out.
     twins: Sequence[str] = ()
+    # Computers of all senders with the same source_id that have a topic each.
     senders: Sequence[str] = ()
+    # For how many seconds another node has published its first topic, too; 0 if none does.
     doubled_s: float = 0.0
 
 

@@ -49,25 +49,15 @@ class Concern(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Content of a report.
-
-    Attributes
-    ----------
-    streams, refused
-        Number of streams, and of those that cannot be used.
-    crowded_out
-        Names of streams beyond the limit of open files.
-    concerns
-        Data that was left out or guessed and has no separate entry.
-    statuses, devices
-        Statuses of the streams, and of their devices as reported in these streams.
-    """
+    """Content of a report."""
 
     load: LoadFacts
+    # streams, refused: number of streams, and of those that cannot be used.
     streams: int
     refused: int
-    crowded_out: Sequence[str]
-    concerns: Sequence[Concern]
+    crowded_out: Sequence[str]  # Names of streams beyond the limit of open files.
+    concerns: Sequence[Concern]  # Data that was left out or guessed and has no separate entry.
+    # statuses, devices: statuses of the streams, and of their devices as reported in these streams.
     statuses: Sequence[DiagnosticStatus]
     devices: Sequence[DiagnosticStatus]
 

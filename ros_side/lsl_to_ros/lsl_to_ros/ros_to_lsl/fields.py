@@ -73,16 +73,10 @@ def bulk_of(message_class: type[Any]) -> str:
 
 
 class FramedList(NamedTuple):
-    """The only field of a message: a list of elements between pairs of frames.
-
-    Attributes
-    ----------
-    element
-        Class of the elements, which have a header and a ``child_frame_id``.
-    """
+    """The only field of a message: a list of elements between pairs of frames."""
 
     name: str
-    element: type[Any]
+    element: type[Any]  # Class of the elements, which have a header and a `child_frame_id`.
 
 
 @cache

@@ -30,18 +30,11 @@ _OF_ROS = frozenset({"/rosout", "/parameter_events", "/clock"})
 
 
 class Quality(NamedTuple):
-    """Quality of service of a subscription, as offered by the publishers.
+    """Quality of service of a subscription, as offered by the publishers."""
 
-    Attributes
-    ----------
-    is_reliable
-        Whether all are reliable; a reliable subscriber does not match others.
-    is_latched
-        Whether all keep their last messages for late subscribers.
-    """
-
+    # Whether all are reliable; a reliable subscriber does not match others.
     is_reliable: bool = True
-    is_latched: bool = False
+    is_latched: bool = False  # Whether all keep their last messages for late subscribers.
 
     @property
     def profile(self) -> QoSProfile:

@@ -39,26 +39,18 @@ stream without markers."""
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Origin of the samples of a stream.
-
-    Attributes
-    ----------
-    type_name, type_hash
-        Name and hash of the message type; empty before anybody publishes.
-    frames
-        ``frame_id`` and ``child_frame_id`` of the first message, if it has them.
-    stamp_source
-        Source of the first message's stamp, or the expected one.
-    clock_edge_s
-        Its lower edge of arrival minus stamp; None before a message has come.
-    """
+    """Origin of the samples of a stream."""
 
     topic: str
+    # type_name, type_hash: name and hash of the message type; empty before anybody publishes.
     type_name: str = ""
     type_hash: str = ""
+    # `frame_id` and `child_frame_id` of the first message, if it has them.
     frames: Mapping[str, str] | None = None
+    # Source of the first message's stamp, or the expected one.
     stamp_source: StampSource = StampSource.SOURCE
     clock: ClockState = ClockState.UNKNOWN
+    # Its lower edge of arrival minus stamp; None before a message has come.
     clock_edge_s: float | None = None
 
 

@@ -43,45 +43,24 @@ class SendAs(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TopicRequest:
-    """The request of the parameters for one topic.
+    """The request of the parameters for one topic."""
 
-    Attributes
-    ----------
-    topic
-        Full name.
-    name
-        Of the stream.
-    fields
-        Fields of the message to send; all if empty.
-    rate
-        Nominal rate in Hz; 0 for an irregular stream.
-    type_name
-        Type of the message; if empty, the publishers define it.
-    """
-
-    topic: str
-    name: str
+    topic: str  # Full name.
+    name: str  # Of the stream.
     send_as: SendAs = SendAs.AUTO
-    fields: tuple[str, ...] = ()
-    rate: float = 0.0
-    type_name: str = ""
+    fields: tuple[str, ...] = ()  # Fields of the message to send; all if empty.
+    rate: float = 0.0  # Nominal rate in Hz; 0 for an irregular stream.
+    type_name: str = ""  # Type of the message; if empty, the publishers define it.
 
 
 @dataclass(frozen=True, slots=True)
 class Requests:
-    """All requests of the parameters.
-
-    Attributes
-    ----------
-    all_small
-        Whether to send every other topic, too, except those with unbounded bytes.
-    by_arrival
-        Whether to stamp everything with its arrival time.
-    """
+    """All requests of the parameters."""
 
     topics: tuple[TopicRequest, ...] = ()
+    # Whether to send every other topic, too, except those with unbounded bytes.
     all_small: bool = False
-    by_arrival: bool = False
+    by_arrival: bool = False  # Whether to stamp everything with its arrival time.
 
 
 def stream_name(topic: str) -> str:
@@ -102,18 +81,10 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg/)?[A-Z][A-Za-z0-9]*")
 
 
 class Option(NamedTuple):
-    """Declaration of a parameter.
+    """Declaration of a parameter."""
 
-    Attributes
-    ----------
-    default
-        Default value, whose type is the parameter's type.
-    text
-        Description for ``ros2 param describe`` and ``--help``.
-    """
-
-    default: str | float | bool | list[str]
-    text: str
+    default: str | float | bool | list[str]  # Default value, whose type is the parameter's type.
+    text: str  # Description for `ros2 param describe` and `--help`.
 
 
 NODE_OPTIONS: Mapping[str, Option] = {

@@ -230,38 +230,20 @@ class StampSource(StrEnum):
 
 
 class Stamped(NamedTuple):
-    """The stamp of one message.
+    """The stamp of one message."""
 
-    Attributes
-    ----------
-    lsl_s
-        Stamp on this computer's LSL clock.
-    """
-
-    lsl_s: float
+    lsl_s: float  # Stamp on this computer's LSL clock.
     source: StampSource
 
 
 class Doubt(NamedTuple):
-    """State of a clock that may differ from this computer's clock.
-
-    Attributes
-    ----------
-    edge_s
-        Lower edge of arrival minus stamp, in seconds.
-    offset
-        Measured offset; None without a measurement.
-    is_used
-        Whether its stamps are used nevertheless.
-    is_mixed
-        Whether it is the clock of one of several publishers.
-    """
+    """State of a clock that may differ from this computer's clock."""
 
     state: ClockState
-    edge_s: float
-    offset: Offset | None
-    is_used: bool
-    is_mixed: bool = False
+    edge_s: float  # Lower edge of arrival minus stamp, in seconds.
+    offset: Offset | None  # Measured offset; None without a measurement.
+    is_used: bool  # Whether its stamps are used nevertheless.
+    is_mixed: bool = False  # Whether it is the clock of one of several publishers.
 
 
 class MessageStamping:

@@ -43,18 +43,10 @@ FEW = 32
 
 
 class Gap(NamedTuple):
-    """A gap before one sample of a block.
+    """A gap before one sample of a block."""
 
-    Attributes
-    ----------
-    place
-        Index of the first sample after the gap.
-    missing
-        Estimated number of missing samples; 0 if that is known only with the next ones.
-    """
-
-    place: int
-    missing: int
+    place: int  # Index of the first sample after the gap.
+    missing: int  # Estimated number of missing samples; 0 if that is known only with the next ones.
 
 
 class GapFinder:
@@ -174,18 +166,10 @@ class _Report(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Samples missing from one stream.
+    """Samples missing from one stream."""
 
-    Attributes
-    ----------
-    device
-        Lost between sensor and agent, since the start of the first agent.
-    transport
-        Lost between agent and this node since it first attached.
-    """
-
-    device: int
-    transport: int
+    device: int  # Lost between sensor and agent, since the start of the first agent.
+    transport: int  # Lost between agent and this node since it first attached.
 
     @property
     def total(self) -> int:
@@ -354,35 +338,20 @@ class Delays:
 
 @dataclass(slots=True)
 class NodeCounters:
-    """Counters of one stream in the node; they outlive its bridges.
-
-    Attributes
-    ----------
-    missing
-        Missing samples, estimated from the stamps of a regular stream.
-    refusals
-        Reports of data that was not published unchanged.
-    undelivered
-        Samples that LSL dropped with the last connection.
-    comparison
-        Comparison of the agent's counters with the pulled samples.
-    delays
-        Delays since the last report.
-    clock
-        State of the device's clock, by `biosensor_common.ros.messages.CLOCK_FACTS`; only one
-        stream per device has it.
-    said
-        What its agent says of it now.
-    """
+    """Counters of one stream in the node; they outlive its bridges."""
 
     received: int = 0
-    missing: int = 0
+    missing: int = 0  # Missing samples, estimated from the stamps of a regular stream.
+    # Reports of data that was not published unchanged.
     refusals: Refusals = field(default_factory=Refusals)
-    undelivered: int = 0
+    undelivered: int = 0  # Samples that LSL dropped with the last connection.
+    # Comparison of the agent's counters with the pulled samples.
     comparison: CountersComparison = field(default_factory=CountersComparison)
-    delays: Delays = field(default_factory=Delays)
+    delays: Delays = field(default_factory=Delays)  # Delays since the last report.
+    # State of the device's clock, by `biosensor_common.ros.messages.CLOCK_FACTS`; only one stream
+    # per device has it.
     clock: Mapping[str, float] = field(default_factory=dict[str, float])
-    said: AgentSays = field(default_factory=AgentSays)
+    said: AgentSays = field(default_factory=AgentSays)  # What its agent says of it now.
 
     @property
     def unfit(self) -> int:

@@ -26,14 +26,9 @@ MOST_MARKS = 600
 
 @dataclass(slots=True)
 class Hysteresis:
-    """A state derived from a value, which does not flip at small changes of it.
+    """A state derived from a value, which does not flip at small changes of it."""
 
-    Attributes
-    ----------
-    begins, ends
-        The state is on from *begins* on, until the value is below *ends*.
-    """
-
+    # begins, ends: the state is on from *begins* on, until the value is below *ends*.
     begins: float
     ends: float
     is_on: bool = False
@@ -70,20 +65,11 @@ class Backlog:
 
 @dataclass(frozen=True, slots=True)
 class LoadFacts:
-    """The node's load at one time.
+    """The node's load at one time."""
 
-    Attributes
-    ----------
-    share
-        Share of one core used by all threads over the last 10 s; None before.
-    age_s
-        Longest time that data have waited in the node since the previous report.
-    is_busy, is_late
-        Whether share or age is too high, with hysteresis.
-    """
-
-    share: float | None
-    age_s: float
+    share: float | None  # Share of one core used by all threads over the last 10 s; None before.
+    age_s: float  # Longest time that data have waited in the node since the previous report.
+    # is_busy, is_late: whether share or age is too high, with hysteresis.
     is_busy: bool
     is_late: bool
 

@@ -26,23 +26,13 @@ HELD_RUNS = 10_000
 
 @dataclass(slots=True)
 class Outputs:
-    """Writers and publishers of a stream.
+    """Writers and publishers of a stream."""
 
-    Attributes
-    ----------
-    raw
-        Writer without stamps; None if the raw message has a stamp.
-    timed
-        Writers that need the time of a sample.
-    chunk
-        Writer of chunks; None for a stream without chunks.
-    shape
-        Transforms the samples for `raw` and `chunk`; None if they get them unchanged.
-    """
-
-    raw: Writer | None = None
+    raw: Writer | None = None  # Writer without stamps; None if the raw message has a stamp.
+    # Writers that need the time of a sample.
     timed: list[Writer] = field(default_factory=list[Writer])
-    chunk: ChunkWriter | None = None
+    chunk: ChunkWriter | None = None  # Writer of chunks; None for a stream without chunks.
+    # Transforms the samples for `raw` and `chunk`; None if they get them unchanged.
     shape: Callable[[Run], Run] | None = None
 
     @property

@@ -35,29 +35,17 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Original:
-    """One topic of the original that is made from a stream.
+    """One topic of the original that is made from a stream."""
 
-    Attributes
-    ----------
-    data
-        Last part of the topic's name.
-    values
-        Converts the stream's values, shape (n, channels), to the topic's, shape (n, columns).
-    is_int32
-        Whether its messages are ``Int32``; else they have the stream's type.
-    beside
-        Data name of another stream of the device, whose channels are appended to this one's.
-    without
-        Columns that are missing without data of that stream.
-    """
-
-    data: str
+    data: str  # Last part of the topic's name.
+    # Converts the stream's values, shape (n, channels), to the topic's, shape (n, columns).
     values: Callable[[Values], Values]
     columns: int = 1
-    is_int32: bool = False
+    is_int32: bool = False  # Whether its messages are `Int32`; else they have the stream's type.
+    # Data name of another stream of the device, whose channels are appended to this one's.
     beside: str = ""
     beside_channels: int = 0
-    without: str = ""
+    without: str = ""  # Columns that are missing without data of that stream.
 
 
 def _ticks(seconds: Values) -> Values:

@@ -30,18 +30,12 @@ from lsl_to_ros.topics.publishers import TopicPublisher
 
 
 class Run(NamedTuple):
-    """Consecutive samples of a block without a gap.
+    """Consecutive samples of a block without a gap."""
 
-    Attributes
-    ----------
-    samples, stamps
-        As in a block.
-    sequence
-        Number of the first sample: how many of this stream the node received before it.
-    """
-
+    # samples, stamps: as in a block.
     samples: NDArray[Any]
     stamps: Stamps
+    # Number of the first sample: how many of this stream the node received before it.
     sequence: int
 
 
@@ -68,17 +62,11 @@ def split(run: Run, chosen: NDArray[np.bool_], *, alone: bool) -> list[Run]:
 
 
 class StreamContext(NamedTuple):
-    """State shared by the writers of one stream.
-
-    Attributes
-    ----------
-    frame_id
-        The sensor with participant and label, as in its topics.
-    """
+    """State shared by the writers of one stream."""
 
     header: StreamHeader
     topic: TopicName
-    frame_id: str
+    frame_id: str  # The sensor with participant and label, as in its topics.
     stamping: Stamping
     lost: Callable[[], Lost]
     refusals: Refusals
