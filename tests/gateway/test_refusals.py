@@ -27,7 +27,7 @@ from biosensor_gateway.agent.selection import holders, unique_names
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.cli import agent as commands
-from biosensor_gateway.cli import app, config, record
+from biosensor_gateway.cli import app, config, page, record
 from biosensor_gateway.cli.app import EXIT_FAILED, EXIT_USAGE, refusal
 from biosensor_gateway.cli.config import edit
 from biosensor_gateway.demo.virtual_devices import simulated_settings
@@ -300,6 +300,27 @@ def test_whoever_wants_it_says_so(agent: Agent, answers: Callable[[str], None]) 
     answers("2")
     commands.reload()
     assert agent.asked == ["reload-preview", "reload"]
+
+
+def test_who_ends_the_page_or_the_agent_is_told_that_a_recording_goes_on(
+    agent: Agent,
+    recording: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def ends(*_: object) -> str:
+        return "the agent has ended"
+
+    monkeypatch.setattr(page, "ask_to_end", ends)
+    page.page(end=True)
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == "the page has ended"
+    assert second == (
+        f"the recording goes on, to {recording}; end and check it: biosensor-gateway record stop"
+    )
+    monkeypatch.setattr(commands, "stop_agent", ends)
+    commands.stop(while_recording=True)
+    assert capsys.readouterr().out.splitlines() == ["the agent has ended", second]
 
 
 def test_an_editor_is_opened_with_a_warning(

@@ -110,7 +110,10 @@ def stop(
 
     During a recording it must be confirmed; without a terminal it is refused with exit code 2.
     """
-    from biosensor_gateway.recording.recorder.state import file_going_on  # not for others
+    from biosensor_gateway.recording.recorder.state import (  # not for others
+        file_going_on,
+        said_to_go_on,
+    )
 
     state = state_folder()
     file = file_going_on(state)
@@ -120,6 +123,8 @@ def stop(
             ["Leave it until the recording has ended", "End the agent now all the same"],
         )
     typer.echo(stop_agent(state, timeout))
+    if sentence := said_to_go_on(state):
+        typer.echo(sentence)
 
 
 DeviceArgument = Annotated[

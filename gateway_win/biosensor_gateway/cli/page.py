@@ -23,6 +23,7 @@ from biosensor_gateway.page.instance import (
     page_folder,
     way_into,
 )
+from biosensor_gateway.recording.recorder.state import said_to_go_on
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.browser import WayIn, open_page
 
@@ -91,6 +92,7 @@ def page(
         if not ask_to_end(folder):
             raise TransportError(TransportReason.ABSENT, "the page is not running")
         typer.echo("the page has ended")
+        _say_what_goes_on(folder)
         return
     path = (settings or settings_path()).absolute()
 
@@ -168,6 +170,12 @@ def _serve(
     with DeferredLog(page_folder(folder)) as log, _is_servable():
         server = AgentPage(folder, settings, ready, log.open, end_after_s, share_port)
         server.run()
+    _say_what_goes_on(folder)
+
+
+def _say_what_goes_on(folder: Path) -> None:
+    if sentence := said_to_go_on(folder):
+        typer.echo(sentence)
 
 
 @contextlib.contextmanager

@@ -261,6 +261,14 @@ def file_going_on(state: Path) -> Path | None:
     return file if is_written else None
 
 
+def said_to_go_on(state: Path) -> str:
+    """Say that a recording goes on after a program has ended; empty if none runs."""
+    file = file_going_on(state)
+    if file is None:
+        return ""
+    return f"the recording goes on, to {file}; end and check it: biosensor-gateway record stop"
+
+
 def lost_by_start(devices: Iterable[DeviceSettings], state: Path) -> str:
     """Say which sensors a running recording loses if the agent is started with these devices.
 
