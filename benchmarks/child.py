@@ -14,16 +14,10 @@ def say(word: str) -> None:
 
 
 class Orders:
-    """What the parent says.
-
-    Attributes
-    ----------
-    closed
-        Set when the parent closes the pipe, which means: finish.
-    """
+    """What the parent says."""
 
     def __init__(self) -> None:
-        self.closed = threading.Event()
+        self.closed = threading.Event()  # Set when the parent closes the pipe, which means: finish.
         self._lines: SimpleQueue[str] = SimpleQueue()
         threading.Thread(target=self._read, daemon=True).start()
 

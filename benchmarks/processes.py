@@ -216,17 +216,11 @@ class CpuMeter:
 
 
 class Processes:
-    """Starts children with one environment; all end with the ``with`` block.
-
-    Attributes
-    ----------
-    environment
-        What the next children get.
-    """
+    """Starts children with one environment; all end with the ``with`` block."""
 
     def __init__(self, folder: Path, port_range: int = PORT_RANGE) -> None:
         self.folder = folder
-        self.environment = isolated_environment(folder, port_range)
+        self.environment = isolated_environment(folder, port_range)  # What the next children get.
         self._stack = ExitStack()
         self._started = 0
 

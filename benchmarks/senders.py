@@ -41,11 +41,6 @@ class Senders:
         Streams in one process.
     frugal, block
         See `Offer`.
-
-    Attributes
-    ----------
-    names
-        Of the streams.
     """
 
     def __init__(
@@ -60,7 +55,7 @@ class Senders:
     ) -> None:
         self._block = block
         self._folder = processes.folder
-        self.names = stream_names(streams)
+        self.names = stream_names(streams)  # Of the streams.
         self._children: list[Process] = []
         for first in range(0, streams, per_process):
             # The processes take turns: within a stream's share of the period, or all of it.

@@ -114,15 +114,10 @@ class Pulses:
     ----------
     rate
         Nominal rate in Hz; from 20 to some hundreds.
-
-    Attributes
-    ----------
-    height
-        Height of the last pulse, after the filter.
     """
 
     def __init__(self, rate: float) -> None:
-        self.height = 0.0
+        self.height = 0.0  # Height of the last pulse, after the filter.
         self._rate = rate
         self._high_pass = Biquad(BAND_HZ[0], rate, is_high_pass=True)
         self._low_pass = Biquad(BAND_HZ[1], rate, is_high_pass=False)

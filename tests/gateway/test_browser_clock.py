@@ -26,16 +26,10 @@ TWO_HOURS_S = 7200.0
 
 
 class Browser:
-    """A browser that shows its time in steps, wrong by an offset and a rate.
-
-    Attributes
-    ----------
-    offset_s
-        Its time minus LSL's.
-    """
+    """A browser that shows its time in steps, wrong by an offset and a rate."""
 
     def __init__(self, offset_s: float, drift: float = 0.0, step_s: float = 0.0) -> None:
-        self.offset_s = offset_s
+        self.offset_s = offset_s  # Its time minus LSL's.
         self._drift, self._step_s = drift, step_s
 
     def shows(self, now: float) -> float:

@@ -180,15 +180,10 @@ MICROSOFTS = "CompanyName\0\0Microsoft Corporation\0".encode("utf-16-le") + _FIX
 
 
 class Rig:
-    """The folders that a bundle is completed from, with a product that uses one package.
-
-    Attributes
-    ----------
-    bundle, packages, python, product, out
-        As :func:`installer.bundle.complete` takes them.
-    """
+    """The folders that a bundle is completed from, with a product that uses one package."""
 
     def __init__(self, folder: Path) -> None:
+        # bundle, packages, python, product, out: as :func:`installer.bundle.complete` takes them.
         self.bundle = folder / "bundle"
         self.packages = folder / "packages"
         self.python = folder / "python"

@@ -30,25 +30,14 @@ STARTED = re.compile(r"http://127\.0\.0\.1:(\d+)/door\?token=\S+")
 
 
 class Programs:
-    """Runs our programs with a state folder and a settings file of their own.
-
-    Attributes
-    ----------
-    folder
-        The state folder.
-    settings
-        The settings file, which need not exist.
-    keyring
-        The file that is the system's keyring.
-    environment_more
-        Variables that a test needs beside the usual ones.
-    """
+    """Runs our programs with a state folder and a settings file of their own."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.settings = folder / "settings.toml"
-        self.keyring = folder / "keyring.json"
+        self.folder = folder  # The state folder.
+        self.settings = folder / "settings.toml"  # The settings file, which need not exist.
+        self.keyring = folder / "keyring.json"  # The file that is the system's keyring.
         self.variables: dict[str, str] = {}
+        # Variables that a test needs beside the usual ones.
         self.environment_more: dict[str, str] = {}
         self._running: list[subprocess.Popen[bytes]] = []
 

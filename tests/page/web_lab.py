@@ -58,24 +58,16 @@ class Answer(NamedTuple):
 
 
 class WebLab:
-    """An agent without devices, the page's program, and a site that may mark.
-
-    Attributes
-    ----------
-    origin
-        Of the site.
-    port
-        At which experiments are listened for.
-    """
+    """An agent without devices, the page's program, and a site that may mark."""
 
     def __init__(self, folder: Path) -> None:
         self.programs = Programs(folder)
-        self.port = free_port()
+        self.port = free_port()  # At which experiments are listened for.
         self.files = folder / "site"
         self.programs.settings.write_text("")
         self.programs.call("mark", "--web", "--save", str(self.files))
         self.site, self.other = Site(self.files), Site(self.files)
-        self.origin = self.site.origin
+        self.origin = self.site.origin  # Of the site.
         self.allow(self.origin, "null")
         self.programs.start("run", "--no-ask")
         self.serve()

@@ -29,21 +29,13 @@ class CortexError(Exception):
 
 
 class CortexClient:
-    """One connection; an async context manager.
-
-    Attributes
-    ----------
-    socket
-    data
-        Data messages by stream, in order.
-    warnings
-        Warnings, in order.
-    """
+    """One connection; an async context manager."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         self.settings = settings
+        # Data messages by stream, in order.
         self.data: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
-        self.warnings: list[dict[str, Any]] = []
+        self.warnings: list[dict[str, Any]] = []  # Warnings, in order.
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[dict[str, Any]]] = {}
 

@@ -32,17 +32,6 @@ class NotedSink(DeviceSink):
     ----------
     spec
         What the device emits, where that is not what its sensor declares.
-
-    Attributes
-    ----------
-    rows, times
-        Samples of each stream, and their LSL times [s].
-    device_times
-        Those of the device's clock [s], where it stamps them.
-    texts
-        Of all streams of text; their times are in `times`.
-    info, rates
-        Of the newest connection.
     """
 
     def __init__(
@@ -51,10 +40,13 @@ class NotedSink(DeviceSink):
         self._spec = spec or declaration(sensor)
         super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex), self._spec, clock)
         names = [stream.data_name for stream in self._spec.streams]
+        # rows, times: samples of each stream, and their LSL times [s].
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}
+        # Those of the device's clock [s], where it stamps them.
         self.device_times: dict[str, list[float]] = {name: [] for name in names}
-        self.texts: list[str] = []
+        self.texts: list[str] = []  # Of all streams of text; their times are in `times`.
+        # info, rates: of the newest connection.
         self.info = DeviceInfo()
         self.rates: Mapping[str, float] = {}
         self._kept: dict[str, Counters] = {}
@@ -125,15 +117,11 @@ class Run:
 
     Attributes
     ----------
-    sink
     states
         All that it has been in.
-    supervisor
-    may_refuse
-        Whether the device sends what cannot be.
     """
 
-    may_refuse = False
+    may_refuse = False  # Whether the device sends what cannot be.
 
     def __init__(self, device: VirtualDevice, /, **fields: Any) -> None:
         sink = NotedSink(device.sensor, device.world.clock)

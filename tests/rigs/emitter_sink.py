@@ -13,40 +13,26 @@ from biosensor_gateway.streaming.sink import DeviceSink
 
 
 class EmitterSink(DeviceSink):
-    """Notes what it is told instead of telling LSL; its device clock is real.
-
-    Attributes
-    ----------
-    emitted
-        Samples by data name, in the declared number of channels; none for what never came.
-    times, device_times, lsl_times
-        Their times by data name [s]; in the last two, only those on that clock.
-    texts
-        Of each its data name, itself and its device time [s].
-    observed
-        Device time and arrival of each packet [s].
-    losses
-        Samples lost, by data name.
-    calls
-        ``observe``, ``restart_clock`` and data names, in the order of the calls.
-    restarts
-        For each restart of the clock, how much had been observed before.
-    heard_count
-        How often something valid without a sample was told of.
-    """
+    """Notes what it is told instead of telling LSL; its device clock is real."""
 
     def __init__(self, sensor: str, spec: SensorSpec | None = None) -> None:
         super().__init__(DeviceIdentity(sensor, "noted"), spec or declaration(sensor))
+        # Samples by data name, in the declared number of channels; none for what never came.
         self.emitted: dict[str, list[list[float]]] = {}
+        # times, device_times, lsl_times: their times by data name [s]; in the last two, only those
+        # on that clock.
         self.times: dict[str, list[float]] = {}
         self.device_times: dict[str, list[float]] = {}
         self.lsl_times: dict[str, list[float]] = {}
+        # Of each its data name, itself and its device time [s].
         self.texts: list[tuple[str, str, float]] = []
-        self.observed: list[tuple[float, float]] = []
-        self.losses: dict[str, int] = {}
+        self.observed: list[tuple[float, float]] = []  # Device time and arrival of each packet [s].
+        self.losses: dict[str, int] = {}  # Samples lost, by data name.
+        # `observe`, `restart_clock` and data names, in the order of the calls.
         self.calls: list[str] = []
+        # For each restart of the clock, how much had been observed before.
         self.restarts: list[int] = []
-        self.heard_count = 0
+        self.heard_count = 0  # How often something valid without a sample was told of.
 
     def values(self, data_name: str) -> list[float]:
         """Return the first channel of a stream."""

@@ -26,17 +26,11 @@ class Heard(NamedTuple):
 
 
 class GattHost:
-    """A connected host.
-
-    Attributes
-    ----------
-    client
-    heard
-        By characteristic, as it was subscribed to.
-    """
+    """A connected host."""
 
     def __init__(self, client: BleakClient) -> None:
         self.client = client
+        # By characteristic, as it was subscribed to.
         self.heard: defaultdict[str, list[Heard]] = defaultdict(list)
 
     async def subscribe(self, *uuids: str) -> None:

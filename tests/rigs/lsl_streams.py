@@ -70,25 +70,15 @@ def stamp_of(number: int) -> float:
 
 
 class Collector:
-    """Keeps what an inlet delivers.
-
-    Attributes
-    ----------
-    ends
-        What it was told at each end: how many samples LSL dropped.
-    clocks
-        How often it was told that the sender's clock is known.
-    overlaps
-        Calls that came while another one was still running.
-    """
+    """Keeps what an inlet delivers."""
 
     def __init__(self, *, wants_each_sample: bool = False) -> None:
         self.wants_each_sample = wants_each_sample
         self.is_full = False
         self.blocks: list[Block] = []
-        self.ends: list[int] = []
-        self.clocks = 0
-        self.overlaps = 0
+        self.ends: list[int] = []  # What it was told at each end: how many samples LSL dropped.
+        self.clocks = 0  # How often it was told that the sender's clock is known.
+        self.overlaps = 0  # Calls that came while another one was still running.
         self._busy = threading.Lock()
 
     def receive(self, block: Block) -> None:

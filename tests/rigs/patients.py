@@ -20,17 +20,11 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Patient(Wearer):
-    """A person with given beats, who may hold the breath and walk.
+    """A person with given beats, who may hold the breath and walk."""
 
-    Parameters
-    ----------
-    beats_s
-        When R peaks are, ascending; before and behind them the heart beats as at the ends.
-    apnoeas, walks
-        When nothing is breathed, and when two steps a second are walked.
-    """
-
+    # When R peaks are, ascending; before and behind them the heart beats as at the ends.
     beats_s: tuple[float, ...] = ()
+    # apnoeas, walks: when nothing is breathed, and when two steps a second are walked.
     apnoeas: tuple[Span, ...] = ()
     walks: tuple[Span, ...] = ()
 

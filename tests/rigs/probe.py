@@ -31,18 +31,7 @@ COMPANY = 0x0B0B
 
 
 class Probe:
-    """The device; a test steers it through the world of its radio.
-
-    Attributes
-    ----------
-    radio, peripheral
-    notes
-        What was written to `NOTE`.
-    flow
-        Notifies.
-    event
-        Indicates.
-    """
+    """The device; a test steers it through the world of its radio."""
 
     def __init__(
         self, radio: Radio, address: str, name: str, *, rssi_dbm: int = -58, max_mtu: int = MAX_MTU
@@ -57,9 +46,10 @@ class Probe:
             rssi_dbm=rssi_dbm,
             max_mtu=max_mtu,
         )
-        self.notes: list[bytes] = []
+        self.notes: list[bytes] = []  # What was written to `NOTE`.
+        # Notifies.
         self.flow = Characteristic[bytes](FLOW, _P.NOTIFY | _P.READ, _A.READABLE, b"still")
-        self.event = Characteristic[bytes](EVENT, _P.INDICATE, _A.READABLE)
+        self.event = Characteristic[bytes](EVENT, _P.INDICATE, _A.READABLE)  # Indicates.
 
     @property
     def address(self) -> str:

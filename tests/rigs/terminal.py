@@ -25,17 +25,11 @@ _POLL_S = 0.02
 
 
 class Screen:
-    """Interprets what is written to a terminal; it breaks lines, and does not fix them.
-
-    Attributes
-    ----------
-    pictures
-        How often something was drawn over.
-    """
+    """Interprets what is written to a terminal; it breaks lines, and does not fix them."""
 
     def __init__(self, columns: int = 80, lines: int = 24) -> None:
         self.columns, self.height = columns, lines
-        self.pictures = 0
+        self.pictures = 0  # How often something was drawn over.
         self._gone: list[str] = []
         self._rows = [""]
         self._x = self._y = 0

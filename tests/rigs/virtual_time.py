@@ -390,16 +390,10 @@ def _close(self: NonblockingWriter, limit_s: float) -> bool:
 
 
 class SetClock(LslClock):
-    """Stands still until it is set.
-
-    Attributes
-    ----------
-    now_s
-        What it tells.
-    """
+    """Stands still until it is set."""
 
     def __init__(self, now_s: float = 1000.0) -> None:
-        self.now_s = now_s
+        self.now_s = now_s  # What it tells.
 
     def __call__(self) -> float:
         """Return the time now, in seconds."""

@@ -245,13 +245,6 @@ class Agent:
     read_again
         Reads the settings file again; None if there is none.
 
-    Attributes
-    ----------
-    on_status
-        Called once a second with the contents of the status file, see `AgentStatus`.
-    on_end
-        Called when it begins to close.
-
     Raises
     ------
     ConfigError
@@ -279,8 +272,9 @@ class Agent:
         self._feed = Feed()
         self._heartbeat_s = settings.events.heartbeat_s
         self._feature_refusals: Sequence[RefusedStatus] = ()
+        # Called once a second with the contents of the status file, see `AgentStatus`.
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
-        self.on_end: Callable[[], None] = lambda: None
+        self.on_end: Callable[[], None] = lambda: None  # Called when it begins to close.
         self._status = StatusWriter(folder)
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
 

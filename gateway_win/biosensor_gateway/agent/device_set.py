@@ -93,13 +93,6 @@ def problem(refused: Refused) -> Problem:
 class Device:
     """A device with its supervisor and its sink.
 
-    Attributes
-    ----------
-    supervisor
-        Keeps the device connected.
-    sink
-        Clock, outlets and counters of the device.
-
     Parameters
     ----------
     own
@@ -109,8 +102,8 @@ class Device:
     def __init__(
         self, supervisor: Supervisor, sink: DeviceSink, own: Sequence[DeclaredStream] = ()
     ) -> None:
-        self.supervisor = supervisor
-        self.sink = sink
+        self.supervisor = supervisor  # Keeps the device connected.
+        self.sink = sink  # Clock, outlets and counters of the device.
         self._own = list(own)
         self._events: DeviceEvents | None = None
 

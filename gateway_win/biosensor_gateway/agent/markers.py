@@ -45,16 +45,11 @@ class MarkerCommands:
     ----------
     settings
         Has the names of the buttons.
-
-    Attributes
-    ----------
-    settings
-        Can be replaced while the agent runs.
     """
 
     def __init__(self, stream: MarkerStream, settings: MarkerSettings) -> None:
         self._stream = stream
-        self.settings = settings
+        self.settings = settings  # Can be replaced while the agent runs.
 
     @property
     def commands(self) -> dict[str, Command]:

@@ -136,17 +136,10 @@ class DeviceFacts(BaseModel):
 
 
 class DeviceStatus(DeviceFacts):
-    """One device.
+    """One device."""
 
-    Attributes
-    ----------
-    streams
-        By source_id.
-    declared
-        Streams that the device's settings declare; empty if the sensor's declaration has them all.
-    """
-
-    streams: dict[str, StreamStatus]
+    streams: dict[str, StreamStatus]  # By source_id.
+    # Streams that the device's settings declare; empty if the sensor's declaration has them all.
     declared: list[DeclaredStream] = Field(default_factory=list[DeclaredStream])
 
 

@@ -239,15 +239,6 @@ class Supervisor:
         Receives the drivers' samples; its silent streams are recovered.
     on_state
         Called with every new state.
-
-    Attributes
-    ----------
-    on_drop
-        Called with the reason, in one word, as soon as a connection has ended by itself.
-    admit
-        Called before each connection; raises an exception to forbid it.
-    away_since
-        Unix time in s since when the device does not stream; None while it streams.
     """
 
     def __init__(
@@ -259,11 +250,14 @@ class Supervisor:
         self._make_driver = make_driver
         self._sink = sink
         self._on_state = on_state
+        # Called with the reason, in one word, as soon as a connection has ended by itself.
         self.on_drop: Callable[[str], None] = lambda reason: None
+        # Called before each connection; raises an exception to forbid it.
         self.admit: Callable[[], None] = lambda: None
         self._names = names_in_log(sink.identity)
         self._delay_s = BACKOFF_FIRST_S
         self.state = State.DISCOVERING
+        # Unix time in s since when the device does not stream; None while it streams.
         self.away_since: float | None = time.time()
         self.connections = 0
         self.last_error: str | None = None

@@ -55,15 +55,6 @@ class LinkPlayer:
         Offset from the capture's time to the clock.
     deliver
         Called with the device's data, and with the loss of the link.
-
-    Attributes
-    ----------
-    shift_s
-        Grows while the driver is slower than the captured one.
-    unknown
-        Number of requests that are not in the capture, by kind and characteristic.
-    unasked
-        Number of captured requests that the driver did not make, by kind and characteristic.
     """
 
     def __init__(
@@ -74,8 +65,10 @@ class LinkPlayer:
         deliver: Callable[[Event], None],
     ) -> None:
         self._clock, self._deliver = clock, deliver
-        self.shift_s = shift_s
+        self.shift_s = shift_s  # Grows while the driver is slower than the captured one.
+        # Number of requests that are not in the capture, by kind and characteristic.
         self.unknown: Counter[tuple[str, str]] = Counter()
+        # Number of captured requests that the driver did not make, by kind and characteristic.
         self.unasked: Counter[tuple[str, str]] = Counter()
         self._items: list[Event | CapturedRequest] = []
         # A repeated request that the driver does not make, such as a keep-alive, delays only once.
@@ -200,22 +193,14 @@ def _number(message: dict[str, Any]) -> object:
 
 
 class Player:
-    """Plays the connections of a capture, one after the other.
-
-    Attributes
-    ----------
-    links
-        The connections that were opened.
-    unheard
-        Number of packets to which the driver had not subscribed.
-    """
+    """Plays the connections of a capture, one after the other."""
 
     def __init__(self, capture: Capture, clock: Clock) -> None:
         self._captured = capture.of_links()
         self._clock = clock
-        self.links: list[LinkPlayer] = []
+        self.links: list[LinkPlayer] = []  # The connections that were opened.
         self._is_opened = asyncio.Event()
-        self.unheard = 0
+        self.unheard = 0  # Number of packets to which the driver had not subscribed.
 
     @property
     def next_opening(self) -> Event:

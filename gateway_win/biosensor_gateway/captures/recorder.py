@@ -30,22 +30,14 @@ _USUAL = ("time", "count", "number", "left", "right", "value", "heart", "rate", 
 
 
 class Recorder:
-    """A :class:`~biosensor_gateway.transports.tap.Tap` that records all events.
-
-    Attributes
-    ----------
-    failed
-        How often a link could not be opened, by reason.
-    came
-        Number of packets from the device.
-    """
+    """A :class:`~biosensor_gateway.transports.tap.Tap` that records all events."""
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
         self._clock = clock
         self._opened: list[tuple[float, Advertisement | None, Sequence[Characteristic]]] = []
         self._passed: list[tuple[int, Passed]] = []
-        self.failed: Counter[str] = Counter()
-        self.came = 0
+        self.failed: Counter[str] = Counter()  # How often a link could not be opened, by reason.
+        self.came = 0  # Number of packets from the device.
         self._has_ended = False
 
     @property

@@ -157,16 +157,11 @@ class Programs:
     ----------
     folder
         An existing folder; see `environment`.
-
-    Attributes
-    ----------
-    may_end
-        Names of programs that a person may end.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.may_end: Collection[str] = ()
+        self.may_end: Collection[str] = ()  # Names of programs that a person may end.
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._killed_s: float | None = None
 

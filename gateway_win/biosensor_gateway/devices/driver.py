@@ -96,14 +96,9 @@ class Connected:
 
 
 class Driver(Protocol):
-    """The interface of a driver: one connection to one device.
+    """The interface of a driver: one connection to one device."""
 
-    Attributes
-    ----------
-    silence_limit_s
-        The supervisor closes a connection after this time without valid data from the device.
-    """
-
+    # The supervisor closes a connection after this time without valid data from the device.
     silence_limit_s: float
 
     async def connect(self) -> Connected:

@@ -27,20 +27,13 @@ class Sink(Protocol):
     device's own clock. The agent implements it as
     :class:`~biosensor_gateway.streaming.sink.DeviceSink`.
     A protocol, because help and settings import drivers, and must work without numpy and liblsl.
-
-    Attributes
-    ----------
-    dropped_bytes
-        Bytes without a valid message; drivers add to it.
-    own_delay
-        Returns how long packets may recently have waited for this computer, in seconds.
-    lacking
-        Labels of channels that this model of the device does not have, by data name: their values
-        are NaN, and nothing of them is missing.
     """
 
-    dropped_bytes: int
+    dropped_bytes: int  # Bytes without a valid message; drivers add to it.
+    # Returns how long packets may recently have waited for this computer, in seconds.
     own_delay: Callable[[], float]
+    # Labels of channels that this model of the device does not have, by data name: their values are
+    # NaN, and nothing of them is missing.
     lacking: dict[str, Sequence[str]]
 
     @property

@@ -40,19 +40,14 @@ class EvenStamps:
     is_uneven
         Whether stamps are known to need it, as of a recording. Live, samples before the first
         overlap are passed on at once, and some after it come too early to follow them.
-
-    Attributes
-    ----------
-    pace
-        Pace of the newest samples; None while stamps are passed unchanged.
-    rate_hz
-        Rate of the newest samples; None while there are too few to say.
     """
 
     def __init__(self, rate: float, *, is_uneven: bool = False) -> None:
         self._rate = rate
         self._section = max(FEWEST, math.ceil(SECTION_S * rate))
+        # Pace of the newest samples; None while stamps are passed unchanged.
         self.pace: Pace | None = None
+        # Rate of the newest samples; None while there are too few to say.
         self.rate_hz: float | None = None
         self._early_s = list(reversed(_EARLY_S))
         self._is_held = self._is_uneven = is_uneven

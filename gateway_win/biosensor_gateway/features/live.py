@@ -57,11 +57,6 @@ class Link:
         Threads that wait for the sender.
     witnesses
         Of all devices.
-
-    Attributes
-    ----------
-    is_here
-        Whether the sender is this computer, whose stamps need no clock correction.
     """
 
     def __init__(
@@ -74,6 +69,7 @@ class Link:
         self.uid, self._name = info.uid(), source.name
         length = buffer_length(source.header.rate, _BUFFER_S)
         self.connection = Connection(info, asking, _OPEN_S, length)
+        # Whether the sender is this computer, whose stamps need no clock correction.
         self.is_here = info.hostname() == socket.gethostname()
         self.has_received = False
         self._computer = source.new_computer(witnesses)

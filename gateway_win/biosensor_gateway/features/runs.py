@@ -235,17 +235,11 @@ class Fir:
 
 
 class Decimator:
-    """Averages neighbouring samples, down to a rate from `wanted_hz` to less than twice that.
-
-    Attributes
-    ----------
-    rate
-        Rate of the output, in Hz.
-    """
+    """Averages neighbouring samples, down to a rate from `wanted_hz` to less than twice that."""
 
     def __init__(self, rate: float, wanted_hz: float) -> None:
         self._factor = max(1, math.floor(rate / wanted_hz))
-        self.rate = rate / self._factor
+        self.rate = rate / self._factor  # Rate of the output, in Hz.
         self._hops = Hops(self._factor)
 
     def take(self, stamps: Array, values: Array) -> Iterator[tuple[float, float]]:

@@ -70,14 +70,9 @@ def is_same(given: str, secret: str) -> bool:
 
 
 class Keys:
-    """Secrets that open the page: tokens for one use, and the cookie that replaces them.
+    """Secrets that open the page: tokens for one use, and the cookie that replaces them."""
 
-    Attributes
-    ----------
-    same_site
-        SameSite attribute of the cookie: whether browsers send it with links on other pages.
-    """
-
+    # SameSite attribute of the cookie: whether browsers send it with links on other pages.
     same_site: Literal["lax", "strict"] = "strict"
 
     def __init__(self, port: int, on_spent: Callable[[str], None] = lambda _: None) -> None:

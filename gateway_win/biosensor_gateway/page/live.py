@@ -283,17 +283,11 @@ async def _send(
 
 
 class Source(Protocol):
-    """The source of the page's streams: an agent's feed, or the network.
-
-    Attributes
-    ----------
-    turns
-        Counts changes after which the status is sent at once.
-    """
+    """The source of the page's streams: an agent's feed, or the network."""
 
     traces: Traces
     has_ended: bool
-    turns: int
+    turns: int  # Counts changes after which the status is sent at once.
 
     def now(self) -> float:
         """Return the LSL time in seconds."""

@@ -83,45 +83,23 @@ class SeenStreamView(ScreenStream):
 
     The base's `source_id` is a number by which the page asks for its traces, and `channels`,
     `units` and `values` are those of its first channels.
-
-    Attributes
-    ----------
-    nominal_hz
-        Nominal rate; 0 for irregular streams.
-    lost
-        Number of lost samples; None if unknown.
-    seen
-        State of the stream.
-    silent_s
-        How long no samples were received, or how long the stream has been gone.
-    note
-        What is wrong with it; empty if nothing is.
-    is_lost_estimated
-        Whether `lost` is estimated from the stamps, since the stream is received here.
-    texts
-        Its newest entries, the newest first.
-    channel_count
-        Number of all its channels.
-    windows
-        Further channels that a browser shows, by the number of the first.
-    derived_from
-        For a feature: the `source_id` of its source stream if that is listed, else its LSL name;
-        empty for other streams.
-    bytes_per_s
-        Data rate by its nominal rate; 0 for an irregular stream.
     """
 
-    nominal_hz: float
-    lost: int | None
-    seen: SeenState
-    silent_s: float
-    note: str
+    nominal_hz: float  # Nominal rate; 0 for irregular streams.
+    lost: int | None  # Number of lost samples; None if unknown.
+    seen: SeenState  # State of the stream.
+    silent_s: float  # How long no samples were received, or how long the stream has been gone.
+    note: str  # What is wrong with it; empty if nothing is.
+    # Whether `lost` is estimated from the stamps, since the stream is received here.
     is_lost_estimated: bool
     is_text: bool
-    texts: list[TextView]
-    channel_count: int
+    texts: list[TextView]  # Its newest entries, the newest first.
+    channel_count: int  # Number of all its channels.
+    # Further channels that a browser shows, by the number of the first.
     windows: dict[int, WindowView]
-    bytes_per_s: float
+    bytes_per_s: float  # Data rate by its nominal rate; 0 for an irregular stream.
+    # For a feature: the `source_id` of its source stream if that is listed, else its LSL name;
+    # empty for other streams.
     derived_from: str
 
     def outdated(self) -> SeenStreamView:
@@ -286,18 +264,10 @@ PathText = Annotated[LongText, AfterValidator(_can_be_path)]
 
 
 class ReplayedStreamView(ScreenStream):
-    """A replayed stream.
+    """A replayed stream."""
 
-    Attributes
-    ----------
-    nominal_hz
-        At the speed of the replay.
-    is_empty
-        Whether the recording has no samples of it.
-    """
-
-    nominal_hz: float
-    is_empty: bool
+    nominal_hz: float  # At the speed of the replay.
+    is_empty: bool  # Whether the recording has no samples of it.
 
 
 class ReplayedDeviceView(BaseModel):
@@ -366,29 +336,15 @@ class StreamView(StreamStatus, ScreenStream):
 
 
 class DeviceView(DeviceFacts):
-    """One device of the agent: its status, and what a screen needs in addition.
+    """One device of the agent: its status, and what a screen needs in addition."""
 
-    Attributes
-    ----------
-    name
-        Name in commands, ``sensor/unit``.
-    title
-        Name of the kind of sensor for people.
-    is_sending
-        Whether it sends now; if not, its values are outdated and not shown.
-    lost
-        Lost samples of all its streams; None while it does not send, because more may be lost.
-    streams
-        By source_id.
-    features
-        Live features of these streams on the network, of any program.
-    """
-
-    name: str
-    title: str
-    is_sending: bool
+    name: str  # Name in commands, `sensor/unit`.
+    title: str  # Name of the kind of sensor for people.
+    is_sending: bool  # Whether it sends now; if not, its values are outdated and not shown.
+    # Lost samples of all its streams; None while it does not send, because more may be lost.
     lost: int | None
-    streams: dict[str, StreamView]
+    streams: dict[str, StreamView]  # By source_id.
+    # Live features of these streams on the network, of any program.
     features: list[SeenStreamView] = Field(default_factory=list[SeenStreamView])
 
 
@@ -507,35 +463,21 @@ class ShareView(BaseModel):
 
 
 class StatusView(AgentFacts):
-    """The agent and its devices now.
-
-    Attributes
-    ----------
-    problem
-        Problems of the settings, one per line; empty if there is none.
-    configured
-        Number of devices in the settings.
-    one_wearer
-        Whether one person can wear all enabled devices, which then differ by sensor or label.
-    skipped
-        Samples that this page was too slow to show; recordings have them.
-    share
-        None while the page is not shared with other computers.
-    experiments
-        None if the settings allow no web page to send markers.
-    """
+    """The agent and its devices now."""
 
     agent: AgentState
     settings_file: str = ""
-    problem: str = ""
-    configured: int = 0
+    problem: str = ""  # Problems of the settings, one per line; empty if there is none.
+    configured: int = 0  # Number of devices in the settings.
+    # Whether one person can wear all enabled devices, which then differ by sensor or label.
     one_wearer: bool = False
-    skipped: int = 0
+    skipped: int = 0  # Samples that this page was too slow to show; recordings have them.
     devices: list[DeviceView] = Field(default_factory=list[DeviceView])
     recording: RecordingView = Field(default_factory=RecordingView)
     markers: MarkersView = Field(default_factory=MarkersView)
     replay: ReplayView = Field(default_factory=ReplayView)
-    share: ShareView | None = None
+    share: ShareView | None = None  # None while the page is not shared with other computers.
+    # None if the settings allow no web page to send markers.
     experiments: ExperimentsView | None = None
 
 

@@ -37,21 +37,7 @@ STARTING_S = 15.0
 
 
 class Session:
-    """The state that all requests share; used only on the server's loop.
-
-    Attributes
-    ----------
-    has_ended
-        Whether the server is about to end, of which its windows are notified.
-    turns
-        How often an agent has come or gone.
-    replay_view
-        Returns the view of the replay; `Replaying` replaces it.
-    unshown
-        Features that are not shown, and why; `Features` sets it.
-    told
-        Set once a status was returned in which the agent is not starting.
-    """
+    """The state that all requests share; used only on the server's loop."""
 
     def __init__(self, folder: Path, settings: Path) -> None:
         self.folder = folder
@@ -59,11 +45,15 @@ class Session:
         self.traces = Traces()
         self.recording = RecordingView()
         self.markers = MarkersView()
+        # Returns the view of the replay; `Replaying` replaces it.
         self.replay_view: Callable[[], ReplayView] = ReplayView
         self.features: Sequence[SeenStreamView] = ()
+        # Features that are not shown, and why; `Features` sets it.
         self.unshown: Sequence[RefusedStatus] = ()
+        # Whether the server is about to end, of which its windows are notified.
         self.has_ended = False
-        self.turns = 0
+        self.turns = 0  # How often an agent has come or gone.
+        # Set once a status was returned in which the agent is not starting.
         self.told = asyncio.Event()
         self.came = asyncio.Event()
         self.share: ShareView | None = None

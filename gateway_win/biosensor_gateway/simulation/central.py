@@ -65,20 +65,14 @@ class GattLink:
     Every request may raise ``bumble.att.ATT_Error`` if the device answers with an ATT error,
     TransportError ``LOST`` if the link is lost, and ``SILENT`` if the device does not answer
     within the 30 s of the ATT specification.
-
-    Attributes
-    ----------
-    services
-        Services with characteristics and descriptors.
-    on_lost
-        Called when the link ends for any reason, before requests fail.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.address = connection.peer_address.to_string(with_type_qualifier=False)
-        self.services: list[ServiceProxy] = []
+        self.services: list[ServiceProxy] = []  # Services with characteristics and descriptors.
         # The link may have been lost since the event.
         self.lost = connection.device.lookup_connection(connection.handle) is not connection
+        # Called when the link ends for any reason, before requests fail.
         self.on_lost: list[Callable[[], None]] = []
         self._connection = connection
         self._client = cast("_GattClient", connection.gatt_client)

@@ -94,8 +94,6 @@ class Peripheral:
 
     Attributes
     ----------
-    on_connected, on_disconnected
-        Called in the world's event loop.
     bundles: sends notifications, possibly delayed. demand_pairing
         Whether characteristics with the permissions ``READ_REQUIRES_AUTHENTICATION`` or
         ``WRITE_REQUIRES_AUTHENTICATION`` answer ATT error 0x05 until the host has paired
@@ -118,6 +116,7 @@ class Peripheral:
         self.address = address
         self.name = name
         self._interval = interval_ms * _BUMBLE_UNITS
+        # on_connected, on_disconnected: called in the world's event loop.
         self.on_connected: list[Callable[[], None]] = []
         self.on_disconnected: list[Callable[[], None]] = []
         self.demand_pairing = False

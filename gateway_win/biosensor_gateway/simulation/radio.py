@@ -51,15 +51,6 @@ class Transceiver(Controller):
     ----------
     air
         Radio medium shared with others.
-
-    Attributes
-    ----------
-    rssi_dbm
-        Signal strength as received by others.
-    audible
-        Whether others receive its advertisements and can connect.
-    deaf
-        Whether it does not receive advertisements.
     """
 
     # Legacy advertising has a separate scan response, which the sensors use.
@@ -72,9 +63,9 @@ class Transceiver(Controller):
         # bumble does not annotate a parameter.
         super().__init__(name, link=air)  # pyright: ignore[reportUnknownMemberType]
         self.air = air
-        self.rssi_dbm = -58
-        self.audible = True
-        self.deaf = False
+        self.rssi_dbm = -58  # Signal strength as received by others.
+        self.audible = True  # Whether others receive its advertisements and can connect.
+        self.deaf = False  # Whether it does not receive advertisements.
         self._stalled = False
         self._held: list[tuple[hci.Address, PhysicalTransport, bytes]] = []
 
@@ -201,13 +192,6 @@ class Radio:
     ----------
     host_mtu
         ATT MTU requested by hosts; 23 leaves 20 bytes per packet.
-
-    Attributes
-    ----------
-    air
-        Medium shared by the transceivers.
-    on_switched_off
-        Called in the world's event loop when the hosts' Bluetooth is switched off.
     """
 
     def __init__(self, world: World, *, host_mtu: int = MAX_MTU) -> None:
@@ -215,7 +199,8 @@ class Radio:
         logging.getLogger("bumble").setLevel(logging.WARNING)
         self.world = world
         self.host_mtu = host_mtu
-        self.air = LocalLink()
+        self.air = LocalLink()  # Medium shared by the transceivers.
+        # Called in the world's event loop when the hosts' Bluetooth is switched off.
         self.on_switched_off: list[Callable[[], None]] = []
         self._available = True
         self._hosts: dict[Device, Transceiver] = {}

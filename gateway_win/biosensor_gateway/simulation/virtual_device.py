@@ -150,13 +150,6 @@ class VirtualDevice(ABC):
     ----------
     **specimen
         Parameters of its `Specimen`.
-
-    Attributes
-    ----------
-    specimen
-        Its wearer and its imperfections.
-    truth
-        Record of what it measured and sent.
     """
 
     sensor: ClassVar[str]
@@ -195,8 +188,8 @@ class VirtualDevice(ABC):
 
     def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
         self.world = world
-        self.specimen = Specimen(**specimen)
-        self.truth = Truth(self.specimen.kept)
+        self.specimen = Specimen(**specimen)  # Its wearer and its imperfections.
+        self.truth = Truth(self.specimen.kept)  # Record of what it measured and sent.
         self._lasting: dict[Kind, asyncio.TimerHandle | None] = {}
 
     @classmethod

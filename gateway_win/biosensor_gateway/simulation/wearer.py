@@ -36,24 +36,15 @@ _NOISE_TONES = 16
 
 @dataclass(frozen=True)
 class Wearer:
-    """A person with constant respiration rate, and constant or given mean heart rate.
+    """A person with constant respiration rate, and constant or given mean heart rate."""
 
-    Parameters
-    ----------
-    seed
-        Seed of noise and skin responses; equal seeds give equal people.
-    heart_rate_bpm, respiration_rate_bpm
-        Mean rates [1/min].
-    turns
-        Times [s] from which the mean heart rate changes to a new value [1/min], within `TURN_S`.
-    flat
-        Periods [s] in which electrodes, lights and belts give the value of their beginning.
-    """
-
-    seed: int = 0
+    seed: int = 0  # Seed of noise and skin responses; equal seeds give equal people.
+    # heart_rate_bpm, respiration_rate_bpm: mean rates [1/min].
     heart_rate_bpm: float = 72.0
     respiration_rate_bpm: float = 15.0
+    # Times [s] from which the mean heart rate changes to a new value [1/min], within `TURN_S`.
     turns: tuple[tuple[float, float], ...] = ()
+    # Periods [s] in which electrodes, lights and belts give the value of their beginning.
     flat: tuple[tuple[float, float], ...] = ()
 
     def heart_rate(self, t: Floats) -> Floats:

@@ -113,17 +113,11 @@ class MarkerStream:
     The outlet exists from the agent's start, so that LabRecorder finds it. The first receiver soon
     gets a marker ``ready``, unless another marker is sent before: some versions of the loader for
     MATLAB cannot load a marker stream without markers.
-
-    Attributes
-    ----------
-    clock
-        The LSL clock.
-    refusals
-        Counts markers that nobody receives, or that cannot be sent.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
-        self.clock = clock
+        self.clock = clock  # The LSL clock.
+        # Counts markers that nobody receives, or that cannot be sent.
         self.refusals = Refusals(clock=clock)
         self._stamps = MonotonicStamps()
         self._count = 0

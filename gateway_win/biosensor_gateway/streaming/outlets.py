@@ -79,11 +79,6 @@ class Outlet:
     after the outlet was created. So the first samples of a stream of states wait, with their own
     stamps, until a receiver had time to connect and did; see `release`. So do the samples of any
     stream that has just lost its receivers; see `await_return`.
-
-    Attributes
-    ----------
-    counters, refusals
-        Counts of its samples, and of those that were left out or changed.
     """
 
     def __init__(
@@ -103,6 +98,7 @@ class Outlet:
         self._largest = np.finfo(np.float32 if single else np.float64).max
         self.source_id = naming.source_id(identity, stream.data_name)
         self.name = naming.lsl_name(identity, stream.data_name)
+        # counters, refusals: counts of its samples, and of those that were left out or changed.
         self.counters = Counters()
         self.refusals = Refusals(clock=clock)
         lsl_info = pylsl.StreamInfo(

@@ -42,48 +42,29 @@ class DeviceSink:
 
     Attributes
     ----------
-    spec
-        What the device emits.
-    observer
-        Notified of the device's events, if there is one.
-    tap
-        Called with what was sent: data name, samples in the units of the declaration (none of
-        text), stamps. Must neither raise nor wait.
-    silent
-        Data names of the streams that the settings switch off.
-    watch
-        Finds the streams that are expected and silent.
-    clock
-        The LSL clock.
-    info, told_rates
-        What the device reports of itself, and nominal rates in Hz that it sets; empty at first.
-    charge
-        State of its battery, as far as it is known.
-    plausibility
-        Suppresses impossible values.
     dropped_bytes
         Bytes without a valid message; drivers add to it.
-    refusals
-        Counts the device's bytes that are not samples.
-    own_delay
-        Returns how long packets may recently have waited for this computer, in seconds.
-    lacking
-        Labels of channels that this model of the device does not have, by data name: their values
-        are NaN, and nothing of them is missing.
     """
 
     def __init__(
         self, identity: DeviceIdentity, spec: SensorSpec, clock: Clock = LSL_CLOCK
     ) -> None:
         self.identity = identity
-        self.clock = clock
-        self.watch = StreamWatch(clock)
-        self.spec = spec
+        self.clock = clock  # The LSL clock.
+        self.watch = StreamWatch(clock)  # Finds the streams that are expected and silent.
+        self.spec = spec  # What the device emits.
+        # Notified of the device's events, if there is one.
         self.observer: DeviceEvents | None = None
+        # Called with what was sent: data name, samples in the units of the declaration (none of
+        # text), stamps. Must neither raise nor wait.
         self.tap: Callable[[str, ArrayLike, Sequence[float]], None] | None = None
+        # Data names of the streams that the settings switch off.
         self.silent: frozenset[str] = frozenset()
-        self.charge = Charge(spec)
+        self.charge = Charge(spec)  # State of its battery, as far as it is known.
+        # Returns how long packets may recently have waited for this computer, in seconds.
         self.own_delay: Callable[[], float] = lambda: 0.0
+        # Labels of channels that this model of the device does not have, by data name: their values
+        # are NaN, and nothing of them is missing.
         self.lacking: dict[str, Sequence[str]] = {}
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
@@ -95,12 +76,14 @@ class DeviceSink:
         self._is_new = Once()
         self.gate = PauseGate()
         self._gaps = Gaps(clock)
-        self.plausibility = Plausibility(spec, self._log)
+        self.plausibility = Plausibility(spec, self._log)  # Suppresses impossible values.
         self._constants = Constants(spec)
+        # info, told_rates: what the device reports of itself, and nominal rates in Hz that it sets;
+        # empty at first.
         self.info = DeviceInfo()
         self.told_rates: Mapping[str, float] = {}
         self.dropped_bytes = self._told_bytes = 0
-        self.refusals = Refusals(clock=clock)
+        self.refusals = Refusals(clock=clock)  # Counts the device's bytes that are not samples.
 
     @property
     def refused(self) -> dict[str, Refusals]:
@@ -371,18 +354,12 @@ class DeviceSink:
 
 
 class Charge:
-    """Monitors the first channel of one device that has the role of state of charge.
-
-    Attributes
-    ----------
-    percent
-        Newest value; None before the first.
-    """
+    """Monitors the first channel of one device that has the role of state of charge."""
 
     def __init__(self, spec: SensorSpec) -> None:
         first = next(spec.channels_of(ChannelRole.STATE_OF_CHARGE), ("", 0, ""))
         self._data_name, self._index, _ = first
-        self.percent: float | None = None
+        self.percent: float | None = None  # Newest value; None before the first.
 
     def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         """Process samples of any stream of the device; NaN is ignored.

@@ -31,17 +31,12 @@ _REMEMBERED_PAUSES = 64
 
 
 class PauseGate:
-    """Decides by its stamp whether a sample may be sent; all times are LSL times in seconds.
-
-    Attributes
-    ----------
-    since
-        Unix time of the pause's start in s, for display; None without a pause.
-    """
+    """Decides by its stamp whether a sample may be sent; all times are LSL times in seconds."""
 
     def __init__(self) -> None:
         self._send_from = -math.inf
         self._began = math.nan
+        # Unix time of the pause's start in s, for display; None without a pause.
         self.since: float | None = None
         # nothing is dropped: these are times
         self._pauses: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED_PAUSES)

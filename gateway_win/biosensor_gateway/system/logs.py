@@ -58,11 +58,6 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
 
     If an output is blocked, all outputs report it once. Lines that do not fit into its queue are
     dropped, and a line in their place has their number.
-
-    Attributes
-    ----------
-    terminal
-        A separate descriptor of the terminal; None if the output is not a terminal.
     """
 
     def __init__(
@@ -72,6 +67,7 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
         self.set_name(name)
         self.writer = writer
         self.encoding = encoding
+        # A separate descriptor of the terminal; None if the output is not a terminal.
         self.terminal = terminal
         self._is_held = False
         writer.notice = self._notice

@@ -77,21 +77,14 @@ EARLY_DROP_S = 5.0
 
 
 class AttError(ProtocolError):
-    """The device answered a request with an error of the attribute protocol.
-
-    Attributes
-    ----------
-    code
-        Error code of the ATT_ERROR_RSP [1]_: 0x05 needs pairing, 0x0F encryption, 0xFD
-        means that notifications are not configured; 0x80 to 0x9F are specific to the device.
-
-    .. [1] Bluetooth Core Specification 5.2, volume 3, part F, 3.4.1.1.
-    """
+    """The device answered a request with an error of the attribute protocol."""
 
     def __init__(self, code: int, what: str) -> None:
         meaning = PROTOCOL_ERROR_CODES.get(code, "unknown code")
         message = f"{what}: the device refuses the request (ATT error 0x{code:02X}, {meaning})"
         super().__init__(ProtocolReason.REFUSED, message)
+        # Error code of the ATT_ERROR_RSP [1]_: 0x05 needs pairing, 0x0F encryption, 0xFD means that
+        # notifications are not configured; 0x80 to 0x9F are specific to the device.
         self.code = code
 
     @property

@@ -156,16 +156,12 @@ class LinkTap:
     ----------
     clock
         The clock of the link's arrivals.
-
-    Attributes
-    ----------
-    is_heard
-        Whether there is a tap; check it to save the call for each packet.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._tap = _tap.get()
+        # Whether there is a tap; check it to save the call for each packet.
         self.is_heard = self._tap is not None
         self._number: int | None = None
 

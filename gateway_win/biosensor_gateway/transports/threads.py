@@ -58,16 +58,12 @@ class Traffic:
         Name of the link in error messages.
     advice
         What a user should check if it has ended.
-
-    Attributes
-    ----------
-    closing
-        Set before the link is closed on purpose: from then on, nothing is an error.
     """
 
     def __init__(self, name: str, advice: str) -> None:
         self._name = name
         self._advice = advice
+        # Set before the link is closed on purpose: from then on, nothing is an error.
         self.closing = False
         self._incoming: asyncio.Queue[Received | TransportError] = asyncio.Queue()
         self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()

@@ -67,11 +67,6 @@ class Routing:
         Sensor names by the names of other programs' LSL streams.
     is_as_original
         Whether topics have the original framework's form, see `topics.originals`.
-
-    Attributes
-    ----------
-    refusals
-        Reports of data not published unchanged that have no separate entry.
     """
 
     def __init__(
@@ -97,6 +92,7 @@ class Routing:
         self._time = ros_time
         self._log = log
         self._warn = log.warn
+        # Reports of data not published unchanged that have no separate entry.
         self.refusals = pacer.refusals
         self._routes: dict[str, Route] = {}
         self._records: dict[tuple[str, str], _Record] = {}

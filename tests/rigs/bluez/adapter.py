@@ -35,24 +35,6 @@ class FakeBluez:
     ----------
     radio
         The air; its ``available`` is the adapter's switch, see `set_powered`.
-
-    Attributes
-    ----------
-    environment
-        For the process in which bleak runs.
-    connect_delay_s
-        How much longer than needed it takes to connect.
-    connect_error
-        Why connecting fails, in BlueZ's words; empty if it does not.
-    forgets_after_scan
-        Whether devices that are not connected are forgotten when a scan ends, not half
-        a minute later.
-    words_security
-        Whether requests that need pairing are answered with "Not paired", not with an
-        unlikely error.
-    late
-        By method, such as ``StartDiscovery``, for how many seconds the answer to the next call
-        of it is kept back.
     """
 
     tree: ObjectTree
@@ -66,11 +48,17 @@ class FakeBluez:
         self._scanning: dict[str | None, bool] = {}
         self._duplicates: dict[str | None, bool] = {}
         self._stack = ExitStack()
-        self.environment = self._private_bus.environment
-        self.connect_delay_s = 0.0
-        self.connect_error = ""
+        self.environment = self._private_bus.environment  # For the process in which bleak runs.
+        self.connect_delay_s = 0.0  # How much longer than needed it takes to connect.
+        self.connect_error = ""  # Why connecting fails, in BlueZ's words; empty if it does not.
+        # Whether devices that are not connected are forgotten when a scan ends, not half a minute
+        # later.
         self.forgets_after_scan = False
+        # Whether requests that need pairing are answered with "Not paired", not with an unlikely
+        # error.
         self.words_security = False
+        # By method, such as `StartDiscovery`, for how many seconds the answer to the next call of
+        # it is kept back.
         self.late: dict[str, float] = {}
 
     def __enter__(self) -> Self:

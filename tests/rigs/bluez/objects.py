@@ -149,18 +149,11 @@ _NOT_PAIRED = ("org.bluez.Error.NotPermitted", "Not paired")
 
 
 class BluezError(Exception):
-    """An error reply.
-
-    Attributes
-    ----------
-    name
-        Of the D-Bus error.
-    text
-    """
+    """An error reply."""
 
     def __init__(self, name: str, text: str) -> None:
         super().__init__(name, text)
-        self.name = name
+        self.name = name  # Of the D-Bus error.
         self.text = text
 
 

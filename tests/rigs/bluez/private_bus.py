@@ -28,20 +28,13 @@ _STOP_S = 10.0
 
 
 class PrivateBus:
-    """The daemon, while the context lasts.
-
-    Attributes
-    ----------
-    address
-        Where it listens.
-    environment
-        What a process needs to take it for the system bus of a machine with BlueZ.
-    """
+    """The daemon, while the context lasts."""
 
     def __init__(self) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="bluez-"))
         socket = self._folder / "socket"
-        self.address = f"unix:path={socket}"
+        self.address = f"unix:path={socket}"  # Where it listens.
+        # What a process needs to take it for the system bus of a machine with BlueZ.
         self.environment = {
             "DBUS_SYSTEM_BUS_ADDRESS": self.address,
             "PATH": f"{self._folder}{os.pathsep}{os.environ['PATH']}",

@@ -191,16 +191,11 @@ async def _quietly(talking: Coroutine[Any, Any, None]) -> None:
 
 
 class RefusedTimeError(Exception):
-    """The time of a marker is impossible; the message is the sentence for the page.
-
-    Attributes
-    ----------
-    is_clock
-        Whether the time may be possible after the browser's clock is measured again.
-    """
+    """The time of a marker is impossible; the message is the sentence for the page."""
 
     def __init__(self, sentence: str, *, is_clock: bool = False) -> None:
         super().__init__(sentence)
+        # Whether the time may be possible after the browser's clock is measured again.
         self.is_clock = is_clock
 
 

@@ -139,13 +139,6 @@ class Reader:
         Called with samples, in the reader's thread.
     wanted_streams
         Selects the streams to find; all by default.
-
-    Attributes
-    ----------
-    wanted
-        Keys of the channels that browsers show, see `key_of`; set by the owner.
-    view
-        View of all streams, updated twice a second.
     """
 
     def __init__(
@@ -153,8 +146,9 @@ class Reader:
         on_samples: Callable[[list[Samples]], None],
         wanted_streams: Predicate | None = None,
     ) -> None:
+        # Keys of the channels that browsers show, see `key_of`; set by the owner.
         self.wanted: frozenset[str] = frozenset()
-        self.view = NetworkView()
+        self.view = NetworkView()  # View of all streams, updated twice a second.
         self._on_samples = on_samples
         self._network = Network(wanted_streams or EVERYTHING)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="network")

@@ -118,13 +118,12 @@ class Received:
         Local LSL time at which it was received; None before the first.
     values : shape (n_channels,)
         The newest sample; empty for text.
-    texts
-        The newest entries of a stream of text, the newest last.
     """
 
     def __init__(self, core: CoreFields) -> None:
         self.count = self.missing = 0
         # nothing is dropped: the page shows the newest only
+        # The newest entries of a stream of text, the newest last.
         self.texts: deque[Entry] = deque(maxlen=TEXTS_KEPT)
         self.begin(core)
 
@@ -193,19 +192,13 @@ class Placer:
     Stamps are of the sender's LSL clock, and the measured clock offset is added. Without a
     measurement, or if a program stamps with another clock (such as Unix time), the times are
     computed from the earliest arrival.
-
-    Attributes
-    ----------
-    correction
-        Seconds to add to a stamp; None before the first measurement.
-    is_by_arrival
-        Whether the newest samples were placed by their arrival.
     """
 
     def __init__(self, *, is_ours: bool = False) -> None:
         self._earliest_s = np.inf if is_ours else EARLIEST_S
+        # Seconds to add to a stamp; None before the first measurement.
         self.correction: float | None = None
-        self.is_by_arrival = False
+        self.is_by_arrival = False  # Whether the newest samples were placed by their arrival.
         self._shift_s: float | None = None
         self._last_s = -np.inf
 

@@ -201,15 +201,10 @@ _SETTLED_S = CLOCK_WITHIN_S + 1.0
 
 
 class Inlets:
-    """Opens and closes receivers.
-
-    Attributes
-    ----------
-    refused
-        Number of streams that browsers show and that are not received, because of the limit.
-    """
+    """Opens and closes receivers."""
 
     def __init__(self, close: Callable[[Receiver], object], pool: Executor) -> None:
+        # Number of streams that browsers show and that are not received, because of the limit.
         self.refused = 0
         self._close, self._pool = close, pool
         self._wanted_s: dict[NetworkStream, float] = {}

@@ -89,17 +89,11 @@ class OtherComputer(BaseModel):
 
 
 class NetworkView(Examination):
-    """Outcome of the network check; findings are sorted with causes before consequences.
+    """Outcome of the network check; findings are sorted with causes before consequences."""
 
-    Attributes
-    ----------
-    sides
-        A line about each computer; empty if they did not connect.
-    rows
-        Test, result from there to here, and from here to there; the first row has the headings.
-    """
-
+    # A line about each computer; empty if they did not connect.
     sides: list[str] = Field(default_factory=list[str])
+    # Test, result from there to here, and from here to there; the first row has the headings.
     rows: list[tuple[str, str, str]] = Field(default_factory=list[tuple[str, str, str]])
 
 

@@ -358,13 +358,7 @@ def _away_question(sentences: Sequence[str]) -> QuestionError:
 
 
 class Story:
-    """Notes about one recording that its status does not have.
-
-    Attributes
-    ----------
-    remarks
-        Information that needs no action.
-    """
+    """Notes about one recording that its status does not have."""
 
     def __init__(self, begun: LocalStarted | None = None) -> None:
         self._file = begun.file if begun else None
@@ -372,7 +366,7 @@ class Story:
         self._warnings = [] if begun is None else [*begun.left_out]
         self._away: dict[DeviceIdentity, Absence] = {}
         self._over: list[str] = []
-        self.remarks: list[str] = []
+        self.remarks: list[str] = []  # Information that needs no action.
         if begun:
             self.remarks = [*_others_streams(begun), *warnings_of(begun.file.parent)]
 

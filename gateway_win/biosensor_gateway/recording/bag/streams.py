@@ -77,8 +77,6 @@ class StreamWriter:
     ----------
     first, last
         Timestamps of the first and last sample, 0 without samples.
-    clock_offsets
-        Those written to the file.
     """
 
     def __init__(
@@ -99,7 +97,7 @@ class StreamWriter:
         self._values: list[Any] = []
         self.first = self.last = 0.0
         self.sample_count = 0
-        self.clock_offsets: list[tuple[float, float]] = []
+        self.clock_offsets: list[tuple[float, float]] = []  # Those written to the file.
         write(writing.stream_header(number, xml))
 
     def add(self, times: NDArray[np.float64], values: NDArray[Any] | Texts) -> None:
@@ -297,14 +295,7 @@ def _is_label(field: Field) -> bool:
 
 
 class AnyTopic:
-    """A topic of any type with numbers, or with text only.
-
-    Attributes
-    ----------
-    texts
-        Paths of text fields left out because the message also has numbers, but not of names of
-        elements and frames.
-    """
+    """A topic of any type with numbers, or with text only."""
 
     def __init__(self, topic: Topic, new_stream: NewStream, to_lsl: ToLsl) -> None:
         self._topic, self._kind = topic, MessageType(topic)
@@ -313,6 +304,8 @@ class AnyTopic:
         self._fields = fields_of(definition)
         leaves = [each for each in all_fields(self._fields) if each.kind is not FieldKind.MESSAGE]
         self._has_numbers = any(each.kind is not FieldKind.TEXT for each in leaves)
+        # Paths of text fields left out because the message also has numbers, but not of names of
+        # elements and frames.
         self.texts = tuple(
             each.path
             for each in leaves

@@ -166,41 +166,26 @@ class Samples:
 
 
 class Stream:
-    """One stream of an open recording; use it only while the recording is open.
-
-    Attributes
-    ----------
-    header
-        As recorded.
-    meaning
-        Identity, labels, units and roles from the header; for another program's stream, as the
-        node interprets them.
-    clock
-        Conversion between its clock and the recorder's.
-    clock_offsets
-        Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s, in the
-        order of the file.
-    sample_count
-        Number of samples in the file.
-    byte_count
-        Size of its samples and timestamps in the file.
-    is_guessed
-        Whether its header or a text is not UTF-8, so the encoding was guessed.
-    untimed
-        Number of samples with a NaN or infinite timestamp; `blocks` leaves them out.
-    """
+    """One stream of an open recording; use it only while the recording is open."""
 
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
         self._file = file
         self._indexed = indexed
         self.number = number
-        self.header: RecordedHeader = indexed.header
+        self.header: RecordedHeader = indexed.header  # As recorded.
+        # Identity, labels, units and roles from the header; for another program's stream, as the
+        # node interprets them.
         self.meaning: StreamHeader = _meaning(indexed.header)
+        # Conversion between its clock and the recorder's.
         self.clock = SenderClock(indexed.clock_offsets)
+        # Pairs of LSL time on the stream's clock and offset to the recorder's clock, in s, in the
+        # order of the file.
         self.clock_offsets = tuple(indexed.clock_offsets)
-        self.sample_count = indexed.sample_count
-        self.byte_count = indexed.byte_count
+        self.sample_count = indexed.sample_count  # Number of samples in the file.
+        self.byte_count = indexed.byte_count  # Size of its samples and timestamps in the file.
+        # Number of samples with a NaN or infinite timestamp; `blocks` leaves them out.
         self.untimed = indexed.untimed
+        # Whether its header or a text is not UTF-8, so the encoding was guessed.
         self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0
 
     def take_wearer(self, participant: str) -> None:

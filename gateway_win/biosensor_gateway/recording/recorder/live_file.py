@@ -84,11 +84,6 @@ class GrowingFile:
     ----------
     take
         Called with tag and content of each chunk; raises `ChunkError` if these are invalid.
-
-    Attributes
-    ----------
-    damages
-        A clause for each unreadable place, in the order of the file.
     """
 
     def __init__(self, path: Path, take: Callable[[Tag, memoryview], None]) -> None:
@@ -96,6 +91,7 @@ class GrowingFile:
         self._rest = b""
         self._has_begun = self._is_lost = False
         self.size = 0
+        # A clause for each unreadable place, in the order of the file.
         self.damages: list[str] = []
 
     def read_on(self) -> int:
@@ -206,15 +202,11 @@ class Counted:
 
     A recorder may go on with another agent's stream of the same source_id, whose samples come at
     other times.
-
-    Attributes
-    ----------
-    strange_since
-        Time on the stream's clock from which its samples are not the counted ones; None if they
-        are.
     """
 
     def __init__(self) -> None:
+        # Time on the stream's clock from which its samples are not the counted ones; None if they
+        # are.
         self.strange_since: float | None = None
         # nothing is dropped: these only tell whose the samples are
         self._told: deque[float] = deque(maxlen=_MOST_TOLD)
@@ -268,18 +260,11 @@ class _Losses:
 
     As in `biosensor_gateway.recording.xdf.counters.refusals`, what the first reading tells is about
     the time before the recording, unless it lasts.
-
-    Attributes
-    ----------
-    refused
-        The newest sentence of each kind.
-    lost
-        Samples lost since the first reading.
     """
 
     def __init__(self) -> None:
-        self.refused: list[str] = []
-        self.lost = 0
+        self.refused: list[str] = []  # The newest sentence of each kind.
+        self.lost = 0  # Samples lost since the first reading.
         self._first: Reading | None = None
         self._count_before = self._readings = 0
 
@@ -299,20 +284,13 @@ class _Losses:
 
 
 class _StreamReader:
-    """Processes the chunks of one stream; times are on the recorder's clock, in s.
-
-    Attributes
-    ----------
-    reached
-        Current time according to this stream; -inf if unknown.
-    received_at, measured_at
-        The whole file's time when its newest samples and its newest clock offset arrived; None
-        before the first ones.
-    """
+    """Processes the chunks of one stream; times are on the recorder's clock, in s."""
 
     def __init__(self, header: RecordedHeader) -> None:
         self.header = header
-        self.reached = -math.inf
+        self.reached = -math.inf  # Current time according to this stream; -inf if unknown.
+        # received_at, measured_at: the whole file's time when its newest samples and its newest
+        # clock offset arrived; None before the first ones.
         self.received_at: float | None = None
         self.measured_at: float | None = None
         self.samples = self.offsets = 0

@@ -67,8 +67,6 @@ class ReceivedStream:
     is_open
         Whether it is being received; False until its outlet answers and after it has closed.
         Another outlet may continue the stream.
-    clock_offsets
-        Pairs of LSL time on the sender's clock and offset to this computer's clock, in s.
 
     Raises
     ------
@@ -88,6 +86,7 @@ class ReceivedStream:
         self._xml = b""
         self.first = self.last = 0.0
         self.sample_count = 0
+        # Pairs of LSL time on the sender's clock and offset to this computer's clock, in s.
         self.clock_offsets: list[tuple[float, float]] = []
 
     @property

@@ -323,13 +323,7 @@ class NotClosedError(RecorderError):
 
 
 class SensorsAwayError(RecorderError):
-    """Some sensors do not stream, and recording without them was not confirmed.
-
-    Attributes
-    ----------
-    sentences
-        One for each sensor, without a full stop.
-    """
+    """Some sensors do not stream, and recording without them was not confirmed."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         message = (
@@ -337,7 +331,7 @@ class SensorsAwayError(RecorderError):
             "record without it using --allow-missing"
         )
         super().__init__(RecorderReason.STREAMS_MISSING, message)
-        self.sentences = tuple(sentences)
+        self.sentences = tuple(sentences)  # One for each sensor, without a full stop.
 
 
 @unique

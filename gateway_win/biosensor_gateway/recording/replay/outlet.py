@@ -151,12 +151,6 @@ _PUSHES = {
 class PlayedOutlet:
     """An outlet like the recorded one; it is visible on the network at once.
 
-    Attributes
-    ----------
-    tap
-        Called with the timestamps, shape (n,), and values, shape (n, n_channels), that were sent;
-        values of text streams have no channels.
-
     Raises
     ------
     ReplayError
@@ -169,6 +163,8 @@ class PlayedOutlet:
                 f"pylsl cannot send int64 on Windows; leave {header.title!r} out with --streams"
             )
             raise ReplayError(ReplayReason.NO_OUTLET, message)
+        # Called with the timestamps, shape (n,), and values, shape (n, n_channels), that were sent;
+        # values of text streams have no channels.
         self.tap: Tap | None = None
         try:
             info = played_info(header, source_id, replay)

@@ -70,8 +70,6 @@ class Player:
 
     Attributes
     ----------
-    streams
-        Streams to play, including empty ones, because a receiver may wait for them.
     left_out
         Streams that are not played, because they are not on an LSL clock.
 
@@ -85,6 +83,7 @@ class Player:
         chosen, self.left_out = on_one_clock(chosen)
         self._chosen, self._options = chosen, options
         self._file_hash = file_hash
+        # Streams to play, including empty ones, because a receiver may wait for them.
         self.streams = chosen.streams
         first_s, last_s = extent(self.streams)
         self.begin_s = chosen.begin_s if math.isfinite(chosen.begin_s) else first_s
@@ -292,12 +291,6 @@ class Track:
     blocks
         Its samples in the order of the file.
 
-    Attributes
-    ----------
-    due_s
-        Time of its next sample in the recording, infinite after the last. A sample with an earlier
-        timestamp than the previous one is sent together with it.
-
     Raises
     ------
     RecordingError
@@ -311,6 +304,8 @@ class Track:
         self._stamps = np.empty(0)
         self._due: list[float] = []
         self._at = 0
+        # Time of its next sample in the recording, infinite after the last. A sample with an
+        # earlier timestamp than the previous one is sent together with it.
         self.due_s = -math.inf
         self._read()
 

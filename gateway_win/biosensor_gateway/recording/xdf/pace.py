@@ -224,21 +224,14 @@ class Cuts:
         Nominal rate in the header; above 0.
     section
         Number of samples analysed together, so that memory use stays constant.
-
-    Attributes
-    ----------
-    numbers
-        Indexes of the samples at which a run begins, except the first run, as found so far.
-    holes, stray
-        As found so far; see `Pace`.
-    pace
-        Of all sections so far; None before there is one.
     """
 
     def __init__(self, nominal_hz: float, section: int = SECTION) -> None:
         self._nominal_hz, self._section = nominal_hz, section
-        self.pace: Pace | None = None
+        self.pace: Pace | None = None  # Of all sections so far; None before there is one.
+        # Indexes of the samples at which a run begins, except the first run, as found so far.
         self.numbers: list[int] = []
+        # holes, stray: as found so far; see `Pace`.
         self.holes: list[Hole] = []
         self.stray: list[int] = []
         self._odd_steps: list[int] = []

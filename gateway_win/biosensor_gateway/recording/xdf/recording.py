@@ -91,21 +91,6 @@ class StreamSorter(Generic[_StreamT]):
         Whether to read malformed headers, too.
     lost_headers
         Contents of headers missing in the file, by stream number.
-
-    Attributes
-    ----------
-    begun
-        The recorder's text for the start time; None if there was no file header.
-    clock
-        How the file's clock relates to Unix time; None for a recording not imported from a bag.
-    streams
-        By stream number, in the order of their headers.
-    renumbered
-        Numbers of the streams whose number in the file is another one's, too.
-    orphans
-        By number in the file, the number of chunks of streams whose header is not readable.
-    new_headers
-        By stream number.
     """
 
     def __init__(
@@ -122,11 +107,15 @@ class StreamSorter(Generic[_StreamT]):
         self._headers: dict[int, bytes] = {}
         self._numbers: dict[int, int] = {}
         self._free = count(_FIRST_FREE)
-        self.new_headers: dict[int, NewHeader] = {}
+        self.new_headers: dict[int, NewHeader] = {}  # By stream number.
+        # The recorder's text for the start time; None if there was no file header.
         self.begun: str | None = None
+        # How the file's clock relates to Unix time; None for a recording not imported from a bag.
         self.clock: FileClock | None = None
-        self.streams: dict[int, _StreamT] = {}
+        self.streams: dict[int, _StreamT] = {}  # By stream number, in the order of their headers.
+        # Numbers of the streams whose number in the file is another one's, too.
         self.renumbered: list[int] = []
+        # By number in the file, the number of chunks of streams whose header is not readable.
         self.orphans: Counter[int] = Counter()
 
     def take(self, chunk: Chunk) -> Chunk:

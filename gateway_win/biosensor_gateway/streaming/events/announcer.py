@@ -50,11 +50,6 @@ class Announcer:
         Facts about the agent's start, also sent in each heartbeat.
     clock
         The LSL clock.
-
-    Attributes
-    ----------
-    started_s
-        Its start in LSL seconds, as in each heartbeat.
     """
 
     def __init__(
@@ -71,7 +66,7 @@ class Announcer:
         self._problems = problems
         self._watchers: list[Callable[[float], None]] = []
         self._stamps = MonotonicStamps()
-        self.started_s = round(clock(), 6)
+        self.started_s = round(clock(), 6)  # Its start in LSL seconds, as in each heartbeat.
         self._due_s = -math.inf
         self._had_consumers = False
         self.refusals = Refusals(clock=clock)
@@ -313,14 +308,12 @@ class ContactWatch:
     ----------
     channel
         Its label; empty if the sensor has none.
-    is_on
-        Whether the sensor is on the body; None while unknown.
     """
 
     def __init__(self, spec: SensorSpec) -> None:
         first = next(spec.channels_of(ChannelRole.CONTACT), ("", 0, ""))
         self._data_name, self._index, self.channel = first
-        self.is_on: bool | None = None
+        self.is_on: bool | None = None  # Whether the sensor is on the body; None while unknown.
 
     def forget(self) -> None:
         """Report the next value as a change, whatever it is."""

@@ -47,16 +47,10 @@ class Receiver(Protocol):
 
 
 class Delivery:
-    """Delivers blocks to one receiver at a time.
-
-    Attributes
-    ----------
-    heard_s
-        Monotonic time of the latest samples, 0 before.
-    """
+    """Delivers blocks to one receiver at a time."""
 
     def __init__(self) -> None:
-        self.heard_s = 0.0
+        self.heard_s = 0.0  # Monotonic time of the latest samples, 0 before.
         self._receiver: Receiver | None = None
         # Held while the receiver is called, because its publishers may be destroyed as soon as
         # it is replaced.

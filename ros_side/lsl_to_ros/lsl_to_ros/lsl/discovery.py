@@ -246,15 +246,10 @@ class Discovery:
 
     Several live senders of other programs with the same identity all get an inlet, and their
     streams are numbered. Of our own streams the latest one is taken: a device exists once.
-
-    Attributes
-    ----------
-    refusals
-        Streams that are left out or may be confused.
     """
 
     def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
-        self.refusals = Refusals(warn)
+        self.refusals = Refusals(warn)  # Streams that are left out or may be confused.
         self._predicate = wanted_by(predicate)
         self._network = network_of(self._predicate)
         self._inlets: dict[str, Inlet] = {}

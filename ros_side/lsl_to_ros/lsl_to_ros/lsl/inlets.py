@@ -94,28 +94,18 @@ class Inlet:
     ------
     SpecError
         ``INVALID``, if the stream has no channels, too many, or an impossible rate.
-
-    Attributes
-    ----------
-    info
-        As it was given.
-    header
-        Set once the state is ``READY``.
-    is_served
-        Whether this process publishes it; else only the node itself uses it.
-    is_from_ros
-        Whether ``ros_to_lsl`` makes it from a topic.
     """
 
     def __init__(self, info: pylsl.StreamInfo, refusals: Refusals, number: int = 1) -> None:
         self.number = number
         self.uid = info.uid()
-        self.info = info
+        self.info = info  # As it was given.
         self.state = InletState.OPENING
-        self.header: StreamHeader | None = None
+        self.header: StreamHeader | None = None  # Set once the state is `READY`.
         self.core = read_core(info)
+        # Whether this process publishes it; else only the node itself uses it.
         self.is_served = True
-        self.is_from_ros = False
+        self.is_from_ros = False  # Whether `ros_to_lsl` makes it from a topic.
         self._corrections = Corrections()
         self._delivery = Delivery()
         self._full_info: pylsl.StreamInfo | None = None
@@ -324,16 +314,10 @@ class Inlet:
 
 
 class Corrections:
-    """The latest clock corrections of one sender.
-
-    Attributes
-    ----------
-    newest
-        Seconds to add to a stamp for this machine's LSL clock; None before the first
-        measurement.
-    """
+    """The latest clock corrections of one sender."""
 
     def __init__(self) -> None:
+        # Seconds to add to a stamp for this machine's LSL clock; None before the first measurement.
         self.newest: float | None = None
         # nothing is dropped: these are corrections
         self._recent: deque[float] = deque(maxlen=CORRECTIONS_KEPT)

@@ -94,10 +94,6 @@ class Bridge:
     ----------
     newest_s
         LSL time of the newest message, 0 before the first.
-    refusals
-        Reports of data that is not sent unchanged.
-    is_latched
-        Whether its publishers keep their last messages for late subscribers.
     """
 
     def __init__(
@@ -112,6 +108,7 @@ class Bridge:
         self.request = request
         self.received, self.newest_s, self._fault = 0, 0.0, ""
         self._is_part = whole is not None
+        # Reports of data that is not sent unchanged.
         self.refusals = whole.refusals if whole else Refusals(say, again_s=SAID_AGAIN_S)
         self.losses = PublicationLosses()
         self.stamping = MessageStamping(ros_time, has_header=False, by_arrival=by_arrival)
@@ -121,6 +118,7 @@ class Bridge:
         self._origin = Origin(request.topic, request.type_name, stamp_source=self.stamping.expected)
         self._senders: list[Sender] = []
         self._markers: MarkerOutlet | None = None
+        # Whether its publishers keep their last messages for late subscribers.
         self.is_latched = False
         self._pairs = Pairs(request, self._new_part, self.refusals)
         self._list: FramedList | None = None
@@ -399,11 +397,6 @@ class Pairs(Generic[Part]):
     ----------
     make
         Makes the part for a request and a message class.
-
-    Attributes
-    ----------
-    left_out
-        Number of pairs of frames that are not sent, because there are too many.
     """
 
     def __init__(
@@ -415,6 +408,7 @@ class Pairs(Generic[Part]):
         self._request, self._make, self._refusals = request, make, refusals
         self._parts: dict[tuple[str, str], Part] = {}
         self._names: set[str] = set()
+        # Number of pairs of frames that are not sent, because there are too many.
         self.left_out: set[tuple[str, str]] = set()
 
     @property

@@ -74,15 +74,11 @@ class Graph:
 
     Nodes of ``lsl_to_ros`` are recognised by the topic ``~/streams`` that each of them publishes,
     whatever their names.
-
-    Attributes
-    ----------
-    topics
-        Types of the topics, by full name.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
+        # Types of the topics, by full name.
         self.topics: Mapping[str, list[str]] = dict(node.get_topic_names_and_types())
         self._own = full_name(node.get_namespace(), node.get_name())
         self._gateways = set(self._find_gateways())
@@ -147,8 +143,6 @@ class Topic:
     ----------
     status
         State for its reports.
-    kind
-        Type of the messages; None before it is known.
     sender
         Full name of the publishing node; empty if there is none, or several.
     """
@@ -163,7 +157,7 @@ class Topic:
     ) -> None:
         self._node, self._taker, self._group, self._say = node, taker, group, say
         self.bridge, self.status = bridge, StreamStatus()
-        self.kind: MessageType | None = None
+        self.kind: MessageType | None = None  # Type of the messages; None before it is known.
         self.quality = Quality()
         self.publishers, self.sender = 0, ""
         self._subscription: Subscription | None = None

@@ -64,19 +64,13 @@ class NumberSender:
 
     The outlet is opened by the first message with numbers. A message whose sequences have another
     length or other names opens a new outlet, because LSL cannot change a stream's channels.
-
-    Attributes
-    ----------
-    replaced
-        How often the outlet was replaced.
-    inexact
-        Label of a channel with an integer that a float cannot represent; empty without any.
     """
 
     def __init__(self, fields: Sequence[Field], request: TopicRequest, refusals: Refusals) -> None:
         self.name = request.name
         self.outlet: SampleOutlet | None = None
-        self.replaced = 0
+        self.replaced = 0  # How often the outlet was replaced.
+        # Label of a channel with an integer that a float cannot represent; empty without any.
         self.inexact = ""
         self._fields, self._request, self._refusals = fields, request, refusals
         self._layout: Layout | None = None

@@ -59,16 +59,11 @@ class PublisherClock:
     a measurement can separate offset and delay. A clock that was wrong once stays untrusted; one
     that was right and then behind is trusted again when most messages come in time, once. A stamp
     that steps back shows at once that the clock was set, for messages keep their order.
-
-    Attributes
-    ----------
-    offset
-        Measured offset; None without a measurement.
     """
 
     def __init__(self) -> None:
         self.state = ClockState.UNKNOWN
-        self.offset: Offset | None = None
+        self.offset: Offset | None = None  # Measured offset; None without a measurement.
         self._first_delay_ns = self._first_arrival_ns = 0
         self._envelope: LowerEnvelope | None = None
         self._lowest = (0.0, math.inf)
@@ -257,26 +252,18 @@ class MessageStamping:
         Converts this computer's clock to LSL time.
     by_arrival
         Use the time of arrival only.
-
-    Attributes
-    ----------
-    is_mixed
-        Whether several publishers send the messages. Nobody can tell which is whose, so each stamp
-        is compared with its own arrival, and not used if it is too far from that.
-    clocks
-        Clocks of the header's stamps and of the middleware's.
-    sources
-        Number of messages per source.
     """
 
     def __init__(self, ros_time: RosTime, *, has_header: bool, by_arrival: bool) -> None:
         self._ros_time = ros_time
         self._has_header, self._by_arrival = has_header and not by_arrival, by_arrival
         self._monotonic = MonotonicStamps()
+        # Whether several publishers send the messages. Nobody can tell which is whose, so each
+        # stamp is compared with its own arrival, and not used if it is too far from that.
         self.is_mixed = False
         self._strays: dict[StampSource, float] = {}
-        self.clocks = _new_clocks()
-        self.sources = dict.fromkeys(StampSource, 0)
+        self.clocks = _new_clocks()  # Clocks of the header's stamps and of the middleware's.
+        self.sources = dict.fromkeys(StampSource, 0)  # Number of messages per source.
 
     @property
     def expected(self) -> StampSource:

@@ -81,16 +81,12 @@ class Stamping:
         Converts this machine's LSL clock to ROS time.
     correction
         Returns the seconds between the sender's LSL clock and ours, None while unknown.
-
-    Attributes
-    ----------
-    is_unix
-        Whether the newest stamps are times since 1970, which scripts take from ``time.time()``.
     """
 
     def __init__(self, ros_time: RosTime, correction: Callable[[], float | None]) -> None:
         self._ros_time = ros_time
         self._correction = correction
+        # Whether the newest stamps are times since 1970, which scripts take from `time.time()`.
         self.is_unix = False
 
     @property

@@ -56,11 +56,6 @@ class Bridge:
     ----------
     counters
         Counters, whose refusals get reports of data that cannot be published.
-
-    Attributes
-    ----------
-    newest
-        Values of the newest sample of an irregular stream, None before the first.
     """
 
     def __init__(
@@ -76,6 +71,7 @@ class Bridge:
         self.outputs = outputs
         self.settings = settings
         self.counters = counters
+        # Values of the newest sample of an irregular stream, None before the first.
         self.newest: NDArray[Any] | None = None
         self._stamping = stamping
         self._refuse = counters.refusals.refuse

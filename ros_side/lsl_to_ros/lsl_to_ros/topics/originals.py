@@ -136,13 +136,6 @@ class Joined:
     """The shape of a topic made from two streams, sample by sample.
 
     Samples wait until the other stream's part has arrived.
-
-    Attributes
-    ----------
-    refusals
-        Get reports of samples that were published without the other part.
-    more
-        Called by :meth:`take`, in the thread that reads the other stream.
     """
 
     def __init__(self, original: Original) -> None:
@@ -150,7 +143,9 @@ class Joined:
         self._held: deque[tuple[_Row, int]] = deque()
         # nothing is dropped: it is read only while the other stream is there
         self._others: deque[_Row] = deque(maxlen=4 * _MOST_HELD)
+        # Get reports of samples that were published without the other part.
         self.refusals: Refusals | None = None
+        # Called by :meth:`take`, in the thread that reads the other stream.
         self.more: Callable[[], None] | None = None
 
     def take(self, block: Block) -> None:

@@ -45,15 +45,10 @@ Clock = Callable[[], float]
 
 
 class Pace:
-    """Largest rate of messages per topic; shared by all lanes.
-
-    Attributes
-    ----------
-    per_ms
-        Messages of one topic per millisecond, 0 for no limit; may change at any time.
-    """
+    """Largest rate of messages per topic; shared by all lanes."""
 
     def __init__(self, per_ms: float = 0.0) -> None:
+        # Messages of one topic per millisecond, 0 for no limit; may change at any time.
         self.per_ms = per_ms
 
     def interval(self, rate: float, waiting: int = 0) -> float:
@@ -219,17 +214,13 @@ class Pacer:
     ----------
     warn
         Called with a sentence when ROS fails to publish a waiting message.
-
-    Attributes
-    ----------
-    refusals
-        Reports of messages that ROS failed to publish, and others about topics.
     """
 
     def __init__(
         self, pace: Pace, warn: Callable[[str], None], clock: Clock = time.monotonic
     ) -> None:
         self.pace = pace
+        # Reports of messages that ROS failed to publish, and others about topics.
         self.refusals = Refusals(warn)
         self.clock = clock
         self._busy: set[Lane] = set()

@@ -40,17 +40,6 @@ class TopicPublisher:
 
     Subscribers are counted when :meth:`count_readers` is called, because asking for
     each sample would cost as much as building its message.
-
-    Attributes
-    ----------
-    topic, name
-        Relative and full name.
-    type_name
-        As ROS writes it, such as ``std_msgs/msg/Float32``.
-    readers
-        Number of subscribers at the last count.
-    latched
-        Whether late subscribers get the last message, so that each message is published.
     """
 
     def __init__(
@@ -63,11 +52,14 @@ class TopicPublisher:
         *,
         latched: bool,
     ) -> None:
+        # topic, name: relative and full name.
         self.topic = topic
         self.name = ros_publisher.topic_name
+        # As ROS writes it, such as `std_msgs/msg/Float32`.
         self.type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        # Whether late subscribers get the last message, so that each message is published.
         self.latched = latched
-        self.readers = 0
+        self.readers = 0  # Number of subscribers at the last count.
         self.ros_publisher = ros_publisher
         piece = piece_messages(rate)
         self.lane = Lane(

@@ -170,11 +170,6 @@ class StoredBeats:
     holds_first
         Whether the first packets of a connection are held back until one arrives without delay; not
         for a strap whose packets hold the beats of many seconds.
-
-    Attributes
-    ----------
-    is_placed_by_arrival
-        No packet since the start has been known to arrive without delay.
     """
 
     def __init__(self, *, holds_first: bool = True) -> None:
@@ -185,6 +180,7 @@ class StoredBeats:
         self._may_be_stored = False
         self._was_empty = False
         self._arrival_s: float | None = None
+        # No packet since the start has been known to arrive without delay.
         self.is_placed_by_arrival = True
 
     def restart(self) -> list[PlacedBeat]:

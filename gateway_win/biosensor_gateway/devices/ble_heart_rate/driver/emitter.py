@@ -36,12 +36,6 @@ class StrapEmitter:
         Creates a ``quality`` sample from the skin contact.
     trusts_contact
         Expect no heart rate while there is no skin contact.
-
-    Attributes
-    ----------
-    has_better_intervals
-        The device sends better intervals by other means, so those of the heart rate measurement
-        are ignored.
     """
 
     def __init__(
@@ -57,6 +51,8 @@ class StrapEmitter:
         self._beats = StoredBeats()
         self._sends_intervals = False
         self._interval_seen_s: float | None = None
+        # The device sends better intervals by other means, so those of the heart rate measurement
+        # are ignored.
         self.has_better_intervals = False
 
     def reconnected(self) -> None:

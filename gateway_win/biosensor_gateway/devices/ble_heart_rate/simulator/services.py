@@ -93,15 +93,10 @@ class HeartRateService:
     ----------
     location
         Value of the Body Sensor Location characteristic.
-
-    Attributes
-    ----------
-    measurement
-        The characteristic to notify.
     """
 
     def __init__(self, location: int = CHEST) -> None:
-        self.measurement = _characteristic(0x2A37, _NOTIFY)
+        self.measurement = _characteristic(0x2A37, _NOTIFY)  # The characteristic to notify.
         where = _characteristic(0x2A38, _READ, bytes((location,)))
         self.service = Service(UUID.from_16_bits(0x180D), [self.measurement, where])
 
@@ -117,17 +112,13 @@ class BatteryService:
     ----------
     read
         Called when a host reads the level; returns the level [percent].
-
-    Attributes
-    ----------
-    level
-        The characteristic to notify.
     """
 
     def __init__(self, read: Callable[[], int]) -> None:
         def answer(_connection: Connection) -> bytes:
             return bytes((read(),))
 
+        # The characteristic to notify.
         self.level = _characteristic(0x2A19, _READ | _NOTIFY, CharacteristicValue(read=answer))
         self.service = Service(UUID.from_16_bits(0x180F), [self.level])
 

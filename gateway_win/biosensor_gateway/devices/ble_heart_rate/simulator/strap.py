@@ -140,11 +140,6 @@ class Pulse:
         Measurements say whether the strap touches the skin.
     sends_rr
         Measurements carry R-R intervals.
-
-    Attributes
-    ----------
-    repeats
-        The last interval of each measurement is repeated in the next one.
     """
 
     def __init__(self, detector: BeatDetector, *, tells_contact: bool, sends_rr: bool) -> None:
@@ -154,7 +149,7 @@ class Pulse:
         self._intervals: Sequence[Interval] = ()
         self._worn = True
         self._last: tuple[int, ...] = ()
-        self.repeats = False
+        self.repeats = False  # The last interval of each measurement is repeated in the next one.
 
     @property
     def bpm(self) -> int:

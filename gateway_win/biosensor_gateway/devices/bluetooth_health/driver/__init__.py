@@ -52,11 +52,6 @@ class HealthEmitter:
     These services have no timestamps, or timestamps of a manually set clock, so samples get their
     arrival time.
 
-    Attributes
-    ----------
-    strap
-        Emits battery and signal strength.
-
     Parameters
     ----------
     wheel_m
@@ -64,7 +59,7 @@ class HealthEmitter:
     """
 
     def __init__(self, sink: Sink, wheel_m: float) -> None:
-        self.strap = StrapEmitter(sink)
+        self.strap = StrapEmitter(sink)  # Emits battery and signal strength.
         self._sink = sink
         self._wheel_m = wheel_m
         self.reconnected()

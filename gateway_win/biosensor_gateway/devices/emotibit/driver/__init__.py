@@ -81,11 +81,6 @@ class PulseRate:
         Name of the device in errors.
     nominal_hz
         Rate in the settings.
-
-    Attributes
-    ----------
-    is_right
-        Whether the rate in the settings is known to be right.
     """
 
     def __init__(self, name: str, nominal_hz: int) -> None:
@@ -93,7 +88,7 @@ class PulseRate:
         self._number: int | None = None
         self._times_ms: list[int] = []
         self._samples = 0
-        self.is_right = False
+        self.is_right = False  # Whether the rate in the settings is known to be right.
 
     def take(self, packets: Iterable[Packet]) -> None:
         """Process received packets.

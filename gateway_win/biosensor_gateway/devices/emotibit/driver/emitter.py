@@ -70,15 +70,10 @@ class Oscillator:
         Mean delay of reading its samples.
     period_s
         Sample period, if known from before.
-
-    Attributes
-    ----------
-    is_other
-        Whether the sensor has another rate than the nominal one.
     """
 
     def __init__(self, rate_hz: float, late_s: float, period_s: float = 0.0) -> None:
-        self.is_other = False
+        self.is_other = False  # Whether the sensor has another rate than the nominal one.
         self._rate_hz, self._late_s = rate_hz, late_s
         self._nominal_s = 1 / rate_hz
         self._period_s = period_s or self._nominal_s

@@ -152,15 +152,10 @@ class InOrder:
     """Returns packets in the order of their numbers, without repetitions.
 
     Datagrams may overtake each other, so packets after a missing number wait for it.
-
-    Attributes
-    ----------
-    left_out
-        Number of packets that came twice, or after they were counted as lost.
     """
 
     def __init__(self) -> None:
-        self.left_out = 0
+        self.left_out = 0  # Number of packets that came twice, or after they were counted as lost.
         self._numbers = PacketTimeline(NUMBERS)
         self._waiting: dict[int, _Waiting] = {}
         self._newest_s = self._handed_out_s = -inf

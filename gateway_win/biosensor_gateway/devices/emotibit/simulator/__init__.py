@@ -70,13 +70,6 @@ class _Wifi(asyncio.DatagramProtocol):
         Called with each packet of a host and its address.
     host, port
         Address and UDP port for requests; port 0 takes a free one.
-
-    Attributes
-    ----------
-    to_lose
-        Number of data datagrams that will be lost.
-    overtakes
-        Whether every third datagram arrives after the next one.
     """
 
     def __init__(
@@ -88,8 +81,8 @@ class _Wifi(asyncio.DatagramProtocol):
         self._transport: asyncio.DatagramTransport | None = None
         self._number = 0
         self.is_there = True
-        self.to_lose = 0
-        self.overtakes = False
+        self.to_lose = 0  # Number of data datagrams that will be lost.
+        self.overtakes = False  # Whether every third datagram arrives after the next one.
         self._datagrams = 0
         self._overtaken: bytes | None = None
 

@@ -162,11 +162,6 @@ class Rounds:
         LSL time at which the wearer's time is 0.
     ppg_hz, acc_hz
         Rates of pulse and acceleration by its firmware.
-
-    Attributes
-    ----------
-    is_apart
-        Whether a channel of a sensor is sometimes read one sample later than the others.
     """
 
     def __init__(
@@ -186,6 +181,7 @@ class Rounds:
         self._count = 0
         self._number = 0
         self._kept: dict[str, list[list[str]]] = {}
+        # Whether a channel of a sensor is sometimes read one sample later than the others.
         self.is_apart = False
 
     def next(self, now_s: float, battery_percent: float) -> Round:
@@ -343,13 +339,6 @@ class Host(asyncio.Protocol):
         Called with each packet that it sends on either channel.
     lost
         Called when it ends the connection.
-
-    Attributes
-    ----------
-    data_port
-        Identifies the same host.
-    pinged_s
-        Time of its last ping.
     """
 
     def __init__(
@@ -364,8 +353,8 @@ class Host(asyncio.Protocol):
         self._here = here
         self._host = host
         self._control_port = control_port
-        self.data_port = data_port
-        self.pinged_s = 0.0
+        self.data_port = data_port  # Identifies the same host.
+        self.pinged_s = 0.0  # Time of its last ping.
         self._obey = obey
         self._lost = lost
         self._control: asyncio.Transport | None = None

@@ -171,33 +171,20 @@ class ArrivedData(NamedTuple):
 
 
 class CortexError(ProtocolError):
-    """Cortex refused a request.
-
-    Attributes
-    ----------
-    kind
-        How to handle it.
-    """
+    """Cortex refused a request."""
 
     def __init__(self, method: str, error: RpcError) -> None:
         super().__init__(
             ProtocolReason.REFUSED, f"Cortex refuses {method}: {error.text} ({error.code})"
         )
         self.code = error.code
-        self.kind: ErrorKind = error.kind
+        self.kind: ErrorKind = error.kind  # How to handle it.
 
 
 class CortexClient:
     """One connection to Cortex.
 
     Requests may run concurrently; replies are matched by id.
-
-    Attributes
-    ----------
-    faults
-        Number of unusable messages by fault.
-    dropped_bytes
-        Total length of unusable messages [characters].
     """
 
     def __init__(self, link: TextLink) -> None:
@@ -210,8 +197,8 @@ class CortexClient:
         self._news = asyncio.Event()
         self._reader: asyncio.Task[None] | None = None
         self._ended: TransportError | None = None
-        self.faults: Counter[FaultCode] = Counter()
-        self.dropped_bytes = 0
+        self.faults: Counter[FaultCode] = Counter()  # Number of unusable messages by fault.
+        self.dropped_bytes = 0  # Total length of unusable messages [characters].
         self._dropped_samples = 0
 
     @property

@@ -64,18 +64,10 @@ class Metrics(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """One version of Cortex.
+    """One version of Cortex."""
 
-    Parameters
-    ----------
-    version
-        As in ``getCortexInfo``, such as ``4.8.32``.
-    metrics
-        Layout of ``met``; None for the usual one of this version.
-    """
-
-    version: str
-    metrics: Metrics | None = None
+    version: str  # As in `getCortexInfo`, such as `4.8.32`.
+    metrics: Metrics | None = None  # Layout of `met`; None for the usual one of this version.
 
     @property
     def must_scan(self) -> bool:

@@ -90,11 +90,6 @@ class Listener:
     ----------
     gone
         Called with each client whose connection has ended.
-
-    Attributes
-    ----------
-    clients
-        Clients that have finished the opening handshake.
     """
 
     def __init__(
@@ -103,7 +98,7 @@ class Listener:
         hear: Callable[[Client, str | bytes], None],
         gone: Callable[[Client], None],
     ) -> None:
-        self.clients: set[Client] = set()
+        self.clients: set[Client] = set()  # Clients that have finished the opening handshake.
         self._tls = tls
         self._hear = hear
         self._gone = gone

@@ -290,16 +290,10 @@ class Manners:
 
 
 class Replies:
-    """Parses, executes and answers requests.
-
-    Attributes
-    ----------
-    calls
-        Names of the methods called, in order.
-    """
+    """Parses, executes and answers requests."""
 
     def __init__(self, methods: Methods, manners: Manners, loop: asyncio.AbstractEventLoop) -> None:
-        self.calls: deque[str] = deque(maxlen=_KEPT_CALLS)
+        self.calls: deque[str] = deque(maxlen=_KEPT_CALLS)  # Names of the methods called, in order.
         self._methods = methods
         self._manners = manners
         self._loop = loop

@@ -99,16 +99,11 @@ class LossEstimate:
 
 
 class E4Emitter:
-    """Converts samples to streams; one instance per wristband, over all its connections.
-
-    Attributes
-    ----------
-    log
-        Log of the device; its once-only messages appear once, not once per connection.
-    """
+    """Converts samples to streams; one instance per wristband, over all its connections."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
+        # Log of the device; its once-only messages appear once, not once per connection.
         self.log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)
         self._anchored = False
         self._early = Early[Sample](_MAX_EARLY, is_newest_kept=True)

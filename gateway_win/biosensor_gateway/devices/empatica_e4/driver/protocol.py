@@ -150,16 +150,10 @@ def request(command: str, *arguments: str) -> bytes:
 
 
 class E4Protocol:
-    """Splits the byte stream into lines and parses them.
-
-    Attributes
-    ----------
-    dropped_bytes
-        Bytes of invalid lines, without line ends.
-    """
+    """Splits the byte stream into lines and parses them."""
 
     def __init__(self) -> None:
-        self.dropped_bytes = 0
+        self.dropped_bytes = 0  # Bytes of invalid lines, without line ends.
         self._buffer = bytearray()
         self._skipping = False
 

@@ -28,20 +28,11 @@ class Client(asyncio.Protocol):
     ----------
     listener
         Notified when it connects and disconnects.
-
-    Attributes
-    ----------
-    bound_to
-        Id of a wristband, or empty.
-    subscriptions
-        Subscription words of streams.
-    glue
-        Buffer for all data sent to it.
     """
 
     def __init__(self, listener: Listener, hear: Hear) -> None:
-        self.bound_to = ""
-        self.subscriptions: set[str] = set()
+        self.bound_to = ""  # Id of a wristband, or empty.
+        self.subscriptions: set[str] = set()  # Subscription words of streams.
         self.is_paused = False
         self._listener = listener
         self._hear = hear
@@ -49,7 +40,7 @@ class Client(asyncio.Protocol):
         self._unfinished = b""
         self._is_stalled = False
         self._held: bytearray | None = None
-        self.glue = Glue(self._send)
+        self.glue = Glue(self._send)  # Buffer for all data sent to it.
         self._ended = asyncio.Event()
 
     @property
@@ -279,11 +270,6 @@ class Commands:
         All wristbands by lower-case id.
     connect
         Creates the radio link of a wristband.
-
-    Attributes
-    ----------
-    requests
-        All lines from clients, in order.
     """
 
     def __init__(
@@ -292,7 +278,7 @@ class Commands:
         manners: Manners,
         connect: Callable[[Wristband, float], None],
     ) -> None:
-        self.requests: list[str] = []
+        self.requests: list[str] = []  # All lines from clients, in order.
         self._wristbands = wristbands
         self._manners = manners
         self._connect = connect

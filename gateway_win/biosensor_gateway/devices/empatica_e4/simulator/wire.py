@@ -19,21 +19,11 @@ _STAMP_DIGITS = 15
 
 @dataclass(frozen=True, slots=True)
 class NumberFormat:
-    """The number format of a locale.
+    """The number format of a locale."""
 
-    Parameters
-    ----------
-    decimal_mark
-        ``,`` or ``.``.
-    minus_sign
-        ``-``, or U+2212 in some locales.
-    digits
-        Digits from 0 to 9.
-    """
-
-    decimal_mark: str = ","
-    minus_sign: str = "-"
-    digits: str = "0123456789"
+    decimal_mark: str = ","  # `,` or `.`.
+    minus_sign: str = "-"  # `-`, or U+2212 in some locales.
+    digits: str = "0123456789"  # Digits from 0 to 9.
 
     def value(self, number: float) -> str:
         """Format a measured value: single precision, G7."""

@@ -42,17 +42,11 @@ _OPEN = 0.0
 
 
 class Signals:
-    """The sensors of one wristband; all times are the wearer's [s].
-
-    Attributes
-    ----------
-    battery
-        Battery level, 0 to 1.
-    """
+    """The sensors of one wristband; all times are the wearer's [s]."""
 
     def __init__(self, wearer: Wearer) -> None:
         self.is_worn = True
-        self.battery = 0.82
+        self.battery = 0.82  # Battery level, 0 to 1.
         self._wearer = wearer
 
     def read(self, stream: Stream, t: Floats) -> Rows:
@@ -236,8 +230,6 @@ class Wristband:
     ----------
     stamps
         Timestamps of the current or last radio link.
-    is_left_alone
-        Whether a client ended its link, so the server does not reconnect it by itself.
     """
 
     def __init__(
@@ -254,6 +246,7 @@ class Wristband:
         self.signals = Signals(specimen.wearer)
         self.truth = truth
         self.is_allowed = is_allowed
+        # Whether a client ended its link, so the server does not reconnect it by itself.
         self.is_left_alone = False
         self._timing = timing
         self._drift_ppm = specimen.drift_ppm

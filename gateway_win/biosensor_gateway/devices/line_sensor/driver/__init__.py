@@ -50,15 +50,10 @@ class InOrder:
     ----------
     at_count
         Position of the count in a row; None without a count or on an ordered transport.
-
-    Attributes
-    ----------
-    is_needed
-        Whether lines may have to wait.
     """
 
     def __init__(self, at_count: int | None) -> None:
-        self.is_needed = at_count is not None
+        self.is_needed = at_count is not None  # Whether lines may have to wait.
         self._at_count = at_count
         self._last: float | None = None
         self._waiting: dict[float, tuple[Row, float]] = {}
@@ -110,11 +105,6 @@ class LineRate:
     ----------
     settings
         Contain the expected rate; 0 disables the comparison.
-
-    Attributes
-    ----------
-    complaint
-        What is wrong with the rate and what to do; empty if right or unknown.
     """
 
     def __init__(self, settings: LineSettings) -> None:
@@ -124,6 +114,7 @@ class LineRate:
         self._tick_s = 1.0
         if self._at_time is not None:
             self._tick_s = TICKS_S[settings.parsed_columns[self._at_time].unit]
+        # What is wrong with the rate and what to do; empty if right or unknown.
         self.complaint = ""
         self.begin()
 
@@ -411,15 +402,9 @@ class _UdpLink:
 
 
 class LineLink(Protocol):
-    """Source of lines.
+    """Source of lines."""
 
-    Attributes
-    ----------
-    in_messages
-        Whether each read ends with a line.
-    """
-
-    in_messages: bool
+    in_messages: bool  # Whether each read ends with a line.
 
     async def open(self) -> None:
         """Open it; raises TransportError, or ConfigError for an invalid address."""

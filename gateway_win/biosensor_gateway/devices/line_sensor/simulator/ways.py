@@ -217,11 +217,6 @@ class OpenEarableApp(WebSocket):
     ----------
     wearables
         Names of the connected wearables.
-
-    Attributes
-    ----------
-    refuses
-        Whether it answers each request with an error.
     """
 
     def __init__(self, sensor: Mapping[str, Any], wearables: Sequence[str]) -> None:
@@ -230,7 +225,7 @@ class OpenEarableApp(WebSocket):
         self._wearables = {f"id-{number}": name for number, name in enumerate(wearables)}
         self._subscriptions: dict[ServerConnection, tuple[int, str]] = {}
         self._numbers = count(1)
-        self.refuses = False
+        self.refuses = False  # Whether it answers each request with an error.
 
     async def _talk(self, connection: ServerConnection) -> None:
         await connection.send(json.dumps({"event": "ready", "methods": ["ping"], "endpoint": None}))

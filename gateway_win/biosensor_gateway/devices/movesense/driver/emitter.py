@@ -148,21 +148,14 @@ class PacketSeries:
 
 
 class MovesenseEmitter:
-    """Converts packets to samples; one instance per device, over all its connections.
-
-    Attributes
-    ----------
-    strap
-        Emitter for what all heart-rate straps have: battery, signal strength.
-    log
-        Log of the device; its once-only messages appear once, not once per connection.
-    silent
-        Data names that the settings switch off; some share a packet with wanted streams.
-    """
+    """Converts packets to samples; one instance per device, over all its connections."""
 
     def __init__(self, sink: Sink, silent: Collection[str]) -> None:
+        # Emitter for what all heart-rate straps have: battery, signal strength.
         self.strap = StrapEmitter(sink)
+        # Log of the device; its once-only messages appear once, not once per connection.
         self.log = DeviceLog("biosensor_gateway.movesense", sink.identity)
+        # Data names that the settings switch off; some share a packet with wanted streams.
         self.silent = silent
         self._sink = sink
         self._clock = StampClock()

@@ -231,15 +231,10 @@ class Assembler:
         Usual length of its packets; 0 if each part is a complete packet.
     sample_bytes
         Size of one sample of all streams together.
-
-    Attributes
-    ----------
-    dropped_bytes
-        Bytes of parts without a complete packet.
     """
 
     def __init__(self, full_bytes: int, sample_bytes: int) -> None:
-        self.dropped_bytes = 0
+        self.dropped_bytes = 0  # Bytes of parts without a complete packet.
         self._full_bytes = full_bytes
         self._sample_bytes = sample_bytes
         self._is_certain = False

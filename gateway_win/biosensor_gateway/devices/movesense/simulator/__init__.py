@@ -248,18 +248,12 @@ class _SensorDataService:
         no free slot.
     deviation
         Relative deviation of the movement sensor's rate.
-
-    Attributes
-    ----------
-    refuses
-        Whether every command is refused.
-    denied
-        Kinds of measurements without a free slot: ``ecg``, ``hr``, ``temp`` or ``movement``.
     """
 
     def __init__(self, strap: Strap, serial: str, *, is_old: bool, deviation: float) -> None:
         self.answer_delay_s = 0.0
-        self.refuses = False
+        self.refuses = False  # Whether every command is refused.
+        # Kinds of measurements without a free slot: `ecg`, `hr`, `temp` or `movement`.
         self.denied: frozenset[str] = frozenset()
         self._strap = strap
         self._serial = serial

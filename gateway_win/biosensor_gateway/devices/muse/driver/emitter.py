@@ -84,14 +84,10 @@ class RowAssembler:
     ----------
     channels
         Maximum number of channels.
-
-    Attributes
-    ----------
-    late
-        Number of samples whose packets came twice, or after their rows were returned.
     """
 
     def __init__(self, channels: int, samples: int) -> None:
+        # Number of samples whose packets came twice, or after their rows were returned.
         self.late = 0
         self._channels, self._samples = channels, samples
         self._held: dict[int, Floats] = {}

@@ -68,17 +68,11 @@ def encode(command: str) -> bytes:
 
 
 class Answers:
-    """Joins the pieces of answers.
-
-    Attributes
-    ----------
-    complete
-        Further answers completed by the last piece.
-    """
+    """Joins the pieces of answers."""
 
     def __init__(self) -> None:
         self._text = ""
-        self.complete: list[Answer] = []
+        self.complete: list[Answer] = []  # Further answers completed by the last piece.
 
     def feed(self, piece: bytes) -> Answer | None:
         """Add a piece; return the answer that it completes, if any.

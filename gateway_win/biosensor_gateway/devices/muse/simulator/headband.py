@@ -146,16 +146,10 @@ _LIGHT = {
 
 
 class _Signals:
-    """The wearer's signals at true times on the LSL clock.
-
-    Attributes
-    ----------
-    origin_s
-        LSL time at which the wearer's time is 0.
-    """
+    """The wearer's signals at true times on the LSL clock."""
 
     def __init__(self, wearer: Wearer) -> None:
-        self.origin_s = 0.0
+        self.origin_s = 0.0  # LSL time at which the wearer's time is 0.
         self._wearer = wearer
 
     def eeg_uv(self, times: Floats, electrode: str) -> Floats:

@@ -166,16 +166,12 @@ class BroadcastEmitter:
 
     Each measurement is advertised repeatedly until the next one. It is emitted when first
     received, with that arrival time.
-
-    Attributes
-    ----------
-    feels_skin
-        Whether the device can detect that it is worn; the contact bit of optical sensors is
-        meaningless.
     """
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
+        # Whether the device can detect that it is worn; the contact bit of optical sensors is
+        # meaningless.
         self.feels_skin = True
         self._data = b""
         self._last: Broadcast | None = None

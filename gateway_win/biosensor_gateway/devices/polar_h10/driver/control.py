@@ -175,18 +175,12 @@ class Refusal:
 
 
 class Measurements:
-    """The measurements of one connection.
-
-    Attributes
-    ----------
-    refusals
-        Requested measurements that were refused.
-    """
+    """The measurements of one connection."""
 
     def __init__(self, control: ControlPoint, emitter: PolarEmitter) -> None:
         self._control = control
         self._emitter = emitter
-        self.refusals: dict[Measurement, Refusal] = {}
+        self.refusals: dict[Measurement, Refusal] = {}  # Requested measurements that were refused.
         self._running: dict[int, _Running] = {}
 
     async def start(self, wanted: Sequence[Wanted]) -> None:

@@ -208,15 +208,6 @@ class PolarEmitter:
         Emitter for what all heart-rate straps have; created by default.
     doubted
         Measurements for which some firmware reports a wrong rate.
-
-    Attributes
-    ----------
-    log
-        Log of the device; its once-only messages appear once, not once per connection.
-    clock_runs
-        Whether the device's clock has a timestamp of this connection.
-    on_intervals
-        Called with pulse intervals and their arrival time.
     """
 
     def __init__(
@@ -229,8 +220,10 @@ class PolarEmitter:
     ) -> None:
         self.data_names = data_names
         self.strap = strap or StrapEmitter(sink)
+        # Log of the device; its once-only messages appear once, not once per connection.
         self.log = DeviceLog(f"biosensor_gateway.{sink.identity.sensor}", sink.identity)
-        self.clock_runs = False
+        self.clock_runs = False  # Whether the device's clock has a timestamp of this connection.
+        # Called with pulse intervals and their arrival time.
         self.on_intervals: Callable[[PulseIntervals, float], None] | None = None
         self._sink = sink
         self._doubted = doubted

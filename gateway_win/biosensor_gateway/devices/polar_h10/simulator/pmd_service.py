@@ -69,13 +69,6 @@ class ControlPoint:
         Whether error replies end after the status, as in some firmware.
     announces_stops
         Whether a stop on command is followed by the notice of a stop by the device.
-
-    Attributes
-    ----------
-    refuses
-        Whether every command fails with INVALID_STATE.
-    denied
-        Measurements for which every start fails with INVALID_STATE.
     """
 
     def __init__(
@@ -88,7 +81,8 @@ class ControlPoint:
         announces_stops: bool = False,
     ) -> None:
         self.running = {measurement: _first_choice(product, measurement) for measurement in running}
-        self.refuses = False
+        self.refuses = False  # Whether every command fails with INVALID_STATE.
+        # Measurements for which every start fails with INVALID_STATE.
         self.denied: frozenset[Measurement] = frozenset()
         self._product = product
         self._minimum_mtu = max(minimum_mtu, product.minimum_mtu)

@@ -48,21 +48,12 @@ class ShimmerProtocol:
     ``feed`` never raises, whatever the bytes; unusable bytes are counted. Without full checksums,
     a data packet is only accepted if its timestamp is a whole number of periods after the previous
     one; without any checksum, another message must also seem to follow.
-
-    Attributes
-    ----------
-    crc
-        Current checksum mode of the device.
-    form
-        Formats that depend on the kind of device.
-    dropped_bytes
-        Number of bytes outside of valid messages.
     """
 
     def __init__(self) -> None:
-        self.crc = CrcMode.OFF
-        self.form = ReplyForm()
-        self.dropped_bytes = 0
+        self.crc = CrcMode.OFF  # Current checksum mode of the device.
+        self.form = ReplyForm()  # Formats that depend on the kind of device.
+        self.dropped_bytes = 0  # Number of bytes outside of valid messages.
         self._layout: Layout | None = None
         self._divisor = 1
         self._buffer = bytearray()

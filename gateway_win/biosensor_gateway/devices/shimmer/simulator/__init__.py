@@ -223,24 +223,16 @@ class _UnitMeter:
 
 
 class _Unit(SimulatedShimmer):
-    """Base class of units with several expansion boards.
-
-    Attributes
-    ----------
-    motion, air
-        Sensors on the main board.
-    registers
-        Initial registers of the ExG chips.
-    sensors
-        Mask of the sensors that are on initially.
-    """
+    """Base class of units with several expansion boards."""
 
     sensor = "shimmer"
     rates_hz = MappingProxyType(dict.fromkeys(_WAVEFORMS, 32768 / _DIVIDER))
+    # motion, air: sensors on the main board.
     motion: ClassVar[Sequence[MotionSensor]]
     air: ClassVar[AirSensor]
+    # Initial registers of the ExG chips.
     registers: ClassVar[Sequence[bytes]] = (bytes(10), bytes(10))
-    sensors: ClassVar[int]
+    sensors: ClassVar[int]  # Mask of the sensors that are on initially.
     setup: ClassVar[bytes] = bytes.fromhex("019b0900")
 
     def _new_flash(self, name: str) -> Flash:

@@ -77,11 +77,6 @@ class Conversation:
         Sends bytes; returns whether the link accepted them.
     obeyed
         Called after each executed command and its answer, with whether the link accepted it.
-
-    Attributes
-    ----------
-    denied
-        The command that is refused, if any.
     """
 
     def __init__(
@@ -96,7 +91,7 @@ class Conversation:
         self._write = write
         self._obeyed = obeyed
         self.refusing = False
-        self.denied: Opcode | None = None
+        self.denied: Opcode | None = None  # The command that is refused, if any.
         self.answer_delay_s = 0.0
         self._reader = CommandReader(firmware)
         self._spoken_to = False

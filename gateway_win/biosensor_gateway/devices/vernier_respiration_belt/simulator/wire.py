@@ -166,10 +166,6 @@ class BeltFirmware:
 
     Attributes
     ----------
-    refuses
-        Whether every command is answered with the status "ignored".
-    knows_type
-        If False, samples have an undocumented type.
     mask
         Measured channels; 0 while stopped.
     """
@@ -178,8 +174,8 @@ class BeltFirmware:
         self._order_code = order_code
         self._serial = serial
         self.battery_percent = 76
-        self.refuses = False
-        self.knows_type = True
+        self.refuses = False  # Whether every command is answered with the status "ignored".
+        self.knows_type = True  # If False, samples have an undocumented type.
         self.starts = 0
         self.forget()
 

@@ -95,24 +95,14 @@ _SUMMARY_PERIODS = (b"\0\0", b"\1\0")
 
 @dataclass
 class Session:
-    """One host's connection, with the packets that it has enabled.
+    """One host's connection, with the packets that it has enabled."""
 
-    Parameters
-    ----------
-    summary_supported
-        False for firmware with general data (0x20) only.
-    host_timeout_s
-        Silence after which a host is disconnected; None for never.
-    lifesign_s
-        Interval of the device's lifesigns.
-    refused, ignored
-        Request ids that get a NAK or no answer; neither has any effect.
-    """
-
-    summary_supported: bool = True
+    summary_supported: bool = True  # False for firmware with general data (0x20) only.
+    # Silence after which a host is disconnected; None for never.
     host_timeout_s: float | None = 10.0
-    lifesign_s: float = 3.0
+    lifesign_s: float = 3.0  # Interval of the device's lifesigns.
     answer_delay_s: float = 0.0
+    # refused, ignored: request ids that get a NAK or no answer; neither has any effect.
     refused: set[int] = field(default_factory=set[int])
     ignored: set[int] = field(default_factory=set[int])
 
@@ -209,11 +199,6 @@ class BioHarness(VirtualDevice):
         Use a TCP server instead of a pseudo-terminal; default on systems without one.
     **specimen
         As for every virtual device: see `Specimen`. Wearer, drift and jitter belong to the source.
-
-    Attributes
-    ----------
-    source, session
-        May only be changed in the world's event loop.
     """
 
     sensor = "zephyr"
@@ -230,6 +215,7 @@ class BioHarness(VirtualDevice):
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(world, **specimen)
+        # source, session: may only be changed in the world's event loop.
         self.source = source
         self.session = session or Session()
         self._rng = np.random.default_rng(self.specimen.seed)

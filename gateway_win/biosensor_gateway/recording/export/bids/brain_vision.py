@@ -65,18 +65,13 @@ class BinaryRows:
     is_small
         Whether the values are 16-bit integers. These cannot represent a missing value, so if one
         occurs all values are converted to float32, which is exact.
-
-    Attributes
-    ----------
-    empty
-        First row and number of rows of each gap.
     """
 
     def __init__(self, file: BinaryIO, *, is_small: bool) -> None:
         self._file = file
         self.kind = "INT_16" if is_small else "IEEE_FLOAT_32"
         self.rows = 0
-        self.empty: list[tuple[int, int]] = []
+        self.empty: list[tuple[int, int]] = []  # First row and number of rows of each gap.
 
     def write(self, samples: Samples, count: int) -> None:
         """See :class:`.Rows`."""

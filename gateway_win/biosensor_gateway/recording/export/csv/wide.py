@@ -244,16 +244,10 @@ class _Member:
 
 
 class _Cells:
-    """Collects rows of numbers; see :class:`.Rows`.
-
-    Attributes
-    ----------
-    parts
-        Blocks of values, or numbers of empty rows.
-    """
+    """Collects rows of numbers; see :class:`.Rows`."""
 
     def __init__(self) -> None:
-        self.parts: list[Array | int] = []
+        self.parts: list[Array | int] = []  # Blocks of values, or numbers of empty rows.
 
     def write(self, samples: Samples, count: int) -> None:
         """See :class:`.Rows`."""

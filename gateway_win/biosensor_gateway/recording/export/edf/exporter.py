@@ -344,16 +344,11 @@ class Holes:
     ----------
     begins
         Start time of the file of each run.
-
-    Attributes
-    ----------
-    found
-        Annotations of each run.
     """
 
     def __init__(self, stream: Stream, begins: Sequence[float]) -> None:
         self._stream, self._begins = stream, begins
-        self.found: list[list[Annotation]] = [[] for _ in begins]
+        self.found: list[list[Annotation]] = [[] for _ in begins]  # Annotations of each run.
         # Start of the current gap of each channel; NaN outside of a gap.
         self._open = np.full(stream.header.channel_count, np.nan)
         self._number = -1

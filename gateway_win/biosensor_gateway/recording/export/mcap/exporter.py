@@ -91,21 +91,13 @@ class Unfit:
 
 
 class StreamTopics:
-    """Writes one stream.
-
-    Attributes
-    ----------
-    topics
-        Topic names, the stamped topic first.
-    unfit
-        Samples missing on the raw topic; the stamped topic has them.
-    """
+    """Writes one stream."""
 
     def __init__(self, bag: Bag, stream: Stream, name: TopicName) -> None:
         self._bag = bag
         self._header = header = stream.meaning
-        self.topics: list[str] = []
-        self.unfit = Unfit()
+        self.topics: list[str] = []  # Topic names, the stamped topic first.
+        self.unfit = Unfit()  # Samples missing on the raw topic; the stamped topic has them.
         self.written = 0
         self._base = f"/{name.base}"
         frame_id = name.frame_id(PREFIX)
