@@ -26,7 +26,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import StreamStatus, stream_facts, stream_status
-from lsl_to_ros.reports.reporter import LOW_BATTERY_PERCENT, device_statuses
+from lsl_to_ros.reports.reporter import LOW_BATTERY_PERCENT, StreamOfDevice, device_statuses
 from lsl_to_ros.statistics import status as stream_status_module
 from lsl_to_ros.statistics.losses import NodeCounters
 from lsl_to_ros.statistics.status import RATE_WINDOW_S
@@ -375,15 +375,12 @@ def test_counters_of_unknown_streams_are_of_no_consequence(ros: Ros, counters: O
 
 
 # One status a device: what its own streams tell of battery, contact and signal.
-Named = tuple[str, Bridge]
-
-
 class Lab:
     """Streams whose newest sample a test chooses."""
 
     def __init__(self, ros: Ros) -> None:
         self._ros = ros
-        self._bridges: list[Named] = []
+        self._streams: list[StreamOfDevice] = []
 
     def tell(self, device: str, header: StreamHeader, *sample: float) -> Lab:
         """Add a stream of a device; without a sample if none is given."""
@@ -392,24 +389,30 @@ class Lab:
         bridge = Bridge(header, Outputs(), SETTINGS, counters, clocks)
         if sample:
             bridge.receive(Block(np.array([sample], np.float32), np.array([100.0])))
-        self._bridges.append((device, bridge))
+        self._streams.append(StreamOfDevice(device, bridge, DiagnosticStatus()))
+        return self
+
+    def judged(self, level: bytes, message: str) -> Lab:
+        """Give the entry of the stream that was told last a level and a message."""
+        entry = DiagnosticStatus(level=level, message=message)
+        self._streams[-1] = self._streams[-1]._replace(status=entry)
         return self
 
     def clock(self, **state: float) -> None:
         """Have the agent tell the clock of the device whose stream was told last."""
-        self._bridges[-1][1].counters.clock = state
+        self._streams[-1].bridge.counters.clock = state
 
     def away(self, state: str) -> None:
         """Have the agent tell that the device whose stream was told last does not send."""
-        self._bridges[-1][1].counters.said = AgentSays(away=state)
+        self._streams[-1].bridge.counters.said = AgentSays(away=state)
 
     def refused(self, *sentences: str) -> None:
         """Have the agent tell of the device whose stream was told last what it leaves out."""
         text = counters_text({"a-b-c": Counters()}, of_devices={"a-b-c": sentences})
-        self._bridges[-1][1].counters.said = said_of_streams(text)["a-b-c"]
+        self._streams[-1].bridge.counters.said = said_of_streams(text)["a-b-c"]
 
     def statuses(self) -> dict[str, DiagnosticStatus]:
-        statuses = list(device_statuses(self._bridges))
+        statuses = list(device_statuses(self._streams))
         names = [status.name.removeprefix("lsl_to_ros: device ") for status in statuses]
         assert len(set(names)) == len(names)
         return dict(zip(names, statuses, strict=True))
@@ -487,6 +490,48 @@ def test_what_an_agent_leaves_out_of_a_device_is_told_beside_its_battery(lab: La
     assert status.message == "battery at 5 %; 41 bytes were garbled"
     lab.refused()
     assert lab.status().message == "battery at 5 %"
+
+
+FLAT = "ECG has not changed for 10 s or longer"
+TWICE = "another sender has the same source_id"
+
+
+def test_a_device_is_not_better_than_its_streams(lab: Lab) -> None:
+    lab.tell("zephyr", BATTERY, 55)
+    lab.tell("zephyr", header_of("zephyr", "ecg"), 512).judged(DiagnosticStatus.WARN, FLAT)
+    lab.tell("zephyr", header_of("zephyr", "breathing"), 512).judged(DiagnosticStatus.WARN, FLAT)
+    status = lab.status()
+    assert (status.level, status.message) == (
+        DiagnosticStatus.WARN,
+        f"ecg, breathing: {FLAT}",
+    )
+    lab.tell("zephyr", header_of("zephyr", "acc"), 1, 2, 3).judged(DiagnosticStatus.ERROR, TWICE)
+    status = lab.status()
+    assert (status.level, status.message) == (
+        DiagnosticStatus.ERROR,
+        f"acc: {TWICE}; ecg, breathing: {FLAT}",
+    )
+
+
+def test_a_device_is_stale_only_if_all_its_regular_streams_are(lab: Lab) -> None:
+    lab.tell("zephyr", BATTERY, 55)
+    lab.tell("zephyr", header_of("zephyr", "ecg")).judged(DiagnosticStatus.STALE, "no samples")
+    assert lab.status().level == DiagnosticStatus.STALE
+    lab.tell("zephyr", header_of("zephyr", "acc"), 1, 2, 3)
+    status = lab.status()
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, "ecg: no samples")
+
+
+def test_a_device_that_is_away_says_so_once_but_also_that_its_source_id_is_doubled(
+    lab: Lab,
+) -> None:
+    lab.tell("zephyr", header_of("zephyr", "ecg")).judged(DiagnosticStatus.ERROR, TWICE)
+    lab.tell("zephyr", BATTERY, 55).judged(DiagnosticStatus.WARN, "its sensor is paused")
+    lab.away("paused")
+    status = lab.status()
+    assert status.level == DiagnosticStatus.ERROR
+    assert status.message.endswith(f"; ecg: {TWICE}")
+    assert status.message.count("is paused") == 1
 
 
 @pytest.mark.seam

@@ -100,13 +100,13 @@ class Survey:
         """Return the state of everything; call it once a second."""
         routes = self._routing.routes
         load = self._look_at_load()
-        statuses = [entry for route in routes if (entry := self._stream_status(route)) is not None]
-        bridges = [
-            (self._routing.device_name(route), route.bridge)
+        streams = [
+            StreamOfDevice(self._routing.device_name(route), route.bridge, entry)
             for route in routes
-            if route.bridge is not None
+            if route.bridge is not None and (entry := self._stream_status(route)) is not None
         ]
-        devices = list(device_statuses(bridges))
+        statuses = [each.status for each in streams]
+        devices = list(device_statuses(streams))
         discovery = self._discovery
         crowded_out = sorted(discovery.crowded_out)
         return Part(
@@ -200,39 +200,79 @@ def concerns_of(*books: Refusals) -> list[Concern]:
     return [Concern(each.what.level, each.sentence_about) for each in others]
 
 
-def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[DiagnosticStatus]:
-    """Make the status of each device: battery, contact, signal, and the agent's facts of its clock.
+class StreamOfDevice(NamedTuple):
+    """A stream, its device's name in the topics, and its status."""
 
-    Parameters
-    ----------
-    bridges
-        Streams, each with its device's name in the topics.
+    device: str
+    bridge: Bridge
+    status: DiagnosticStatus
+
+
+def device_statuses(streams: Iterable[StreamOfDevice]) -> Iterator[DiagnosticStatus]:
+    """Make the status of each device: battery, contact, signal, and the agent's facts of its clock.
 
     Yields
     ------
     DiagnosticStatus
         WARN if it is paused or not connected, a battery is at 10 % or less, a sensor reports that
-        it is not worn, or its agent leaves out some of what it sends.
+        it is not worn, or its agent leaves out some of what it sends; otherwise OK, but never
+        better than its streams: ERROR or WARN if one of them is, and STALE if all regular ones are.
     """
-    devices: defaultdict[str, list[Bridge]] = defaultdict(list)
-    for name, bridge in bridges:
-        counters = bridge.counters
-        is_about_device = _told(bridge.header) or counters.clock or counters.said.of_device
-        if not bridge.header.foreign and is_about_device:
-            devices[name].append(bridge)
-    for name, told in devices.items():
+    devices: defaultdict[str, list[StreamOfDevice]] = defaultdict(list)
+    for each in streams:
+        if not each.bridge.header.foreign:
+            devices[each.device].append(each)
+    for name, own in devices.items():
+        told = [each.bridge for each in own if _is_about_device(each.bridge)]
+        if not told:
+            continue
         away = next((each.counters.said.away for each in told if each.counters.said.away), "")
         # What it sent last is of the past while it is away.
         of_now = [] if away else told
-        level, message = _judge_device(of_now)
-        refused = [sentence for each in of_now for sentence in each.counters.said.of_device]
-        if away:
-            level, message = DiagnosticStatus.WARN, away_sentence(away)
-        elif refused:
-            alone = [] if level == DiagnosticStatus.OK else [message]
-            level, message = DiagnosticStatus.WARN, "; ".join([*alone, *refused])
+        reasons = [away_sentence(away)] if away else list(_concerns_of_device(of_now))
+        levels = [DiagnosticStatus.WARN] * bool(reasons)
+        # While it is away, its streams are stale or repeat that.
+        shown = [each for each in own if not away or each.status.level == DiagnosticStatus.ERROR]
+        levels += [_level_of_streams(shown)]
+        reasons += _reasons_of_streams(shown)
+        message = "; ".join(reasons) or "as its streams report"
+        level = max(levels, key=_SEVERITY.index)
         texts = dict(_texts(of_now))
         yield status(f"device {name}", level, message, texts, told[0].header.identity.unit)
+
+
+_SEVERITY = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.STALE,
+    DiagnosticStatus.ERROR,
+)
+
+
+def _is_about_device(bridge: Bridge) -> bool:
+    counters = bridge.counters
+    return bool(_told(bridge.header) or counters.clock or counters.said.of_device)
+
+
+def _level_of_streams(streams: Sequence[StreamOfDevice]) -> bytes:
+    levels = {each.status.level for each in streams}
+    regular = {each.status.level for each in streams if each.bridge.header.rate > 0}
+    if DiagnosticStatus.ERROR in levels:
+        return DiagnosticStatus.ERROR
+    if (regular or levels) == {DiagnosticStatus.STALE}:
+        return DiagnosticStatus.STALE
+    return DiagnosticStatus.WARN if levels - {DiagnosticStatus.OK} else DiagnosticStatus.OK
+
+
+def _reasons_of_streams(streams: Sequence[StreamOfDevice]) -> list[str]:
+    """Return the sentences of streams that are not OK, the worst first, equal ones together."""
+    bad = [each for each in streams if each.status.level != DiagnosticStatus.OK]
+    together: defaultdict[str, list[str]] = defaultdict(list)
+    for each in sorted(bad, key=lambda one: -_SEVERITY.index(one.status.level)):
+        together[each.status.message].append(each.bridge.header.data_name)
+    reasons = [f"{', '.join(names)}: {why}" for why, names in together.items()]
+    more = len(reasons) - _MOST_NAMED
+    return [*reasons[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])]
 
 
 def _texts(bridges: Iterable[Bridge]) -> Iterator[tuple[str, str]]:
@@ -260,16 +300,24 @@ def _newest(bridge: Bridge) -> Iterator[tuple[int, float]]:
             yield column, float(bridge.newest[column])
 
 
-def _judge_device(bridges: Iterable[Bridge]) -> tuple[bytes, str]:
+def _concerns_of_device(bridges: Sequence[Bridge]) -> Iterator[str]:
+    """Yield what streams tell of their device itself, and what its agent leaves out of it."""
+    worn_or_charged = (
+        why
+        for bridge in bridges
+        for column, value in _newest(bridge)
+        if (why := _concern(bridge.header.roles[column], value))
+    )
+    yield from list(worn_or_charged)[:1]
     for bridge in bridges:
-        for column, value in _newest(bridge):
-            role = bridge.header.roles[column]
-            if role is ChannelRole.STATE_OF_CHARGE and value <= LOW_BATTERY_PERCENT:
-                return DiagnosticStatus.WARN, f"battery at {value:g} %"
-            # NaN, unknown, is neither.
-            if role is ChannelRole.CONTACT and value == 0:
-                return DiagnosticStatus.WARN, "not worn"
-    return DiagnosticStatus.OK, "as its streams report"
+        yield from bridge.counters.said.of_device
+
+
+def _concern(role: ChannelRole | None, value: float) -> str:
+    # NaN, unknown, is neither.
+    if role is ChannelRole.STATE_OF_CHARGE and value <= LOW_BATTERY_PERCENT:
+        return f"battery at {value:g} %"
+    return "not worn" if role is ChannelRole.CONTACT and value == 0 else ""
 
 
 TOPIC = "~/streams"
