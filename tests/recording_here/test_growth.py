@@ -325,6 +325,17 @@ def test_a_pause_is_told_as_a_pause_while_it_is_recorded(written: Written) -> No
     )
 
 
+def test_a_gap_while_a_device_was_away_is_one_event_with_it(written: Written) -> None:
+    events = _told(_beat(1000.5), event("disconnected", 1005.0), event("connected", 1008.0))
+    written.write(_recording(events, _acc(1, (1000, 1005), (1008.5, 1012))))
+    (gap,), (away,) = written.growth.gaps(), written.growth.was_away()
+    assert (gap.text, gap.part_of) == ("1 gap so far, of 3.52 s", away.text)
+    # Another one is none of it.
+    written.write(_acc(1, (1013, 1014)))
+    (gap,) = written.growth.gaps()
+    assert (gap.text, gap.part_of) == ("2 gaps so far, the longest of 3.52 s", "")
+
+
 def test_a_gap_beside_a_pause_is_counted_all_the_same(written: Written) -> None:
     events = _told(_beat(1000.5), event("paused", 1005.0), event("resumed", 1008.0))
     written.write(_recording(events, _acc(1, (1000, 1002), (1002.5, 1005), (1009, 1012))))

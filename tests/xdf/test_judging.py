@@ -23,8 +23,8 @@ from biosensor_gateway.features.outputs import features_of
 from biosensor_gateway.features.sources import judge as judge_source
 from biosensor_gateway.features.sources import stream_info
 from biosensor_gateway.recording.recorder.live_file import Growth
-from biosensor_gateway.recording.xdf.counters import Reading, refusals
-from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.counters import Reading, newest_of_each_kind, refusals
+from biosensor_gateway.recording.xdf.findings import Level, by_event
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, judge, verdict
@@ -418,13 +418,12 @@ def test_another_agent_is_told_from_one_that_was_started_again(
         assert verdict(report).colour is Colour.RED
 
 
-def paused_recording(*stamps: float, more: Sequence[object] = ()) -> bytes:
-    """Return a recording of a strap's acceleration, which was paused from 5 to 8 s."""
-    changes = [event("paused", 1005.0), event("resumed", 1008.0)]
-    texts = [[json.dumps(each)] for each in (heartbeat(**STREAMING), *changes, *more)]
+def told_recording(events: Sequence[object], *stamps: float) -> bytes:
+    """Return a recording of a strap's acceleration, and what its agent tells."""
+    texts = [[json.dumps(each)] for each in events]
     return x.xdf(
         own_header(1, strap("P01"), "acc"),
-        x.samples(1, "float32", [[0.0, 0.0, 0.0]] * len(stamps), [*stamps]),
+        x.samples(1, "float32", [[0.0, 0.0, k % 7.0] for k in range(len(stamps))], [*stamps]),
         x.offsets(1, (1005, 1010, 1015)),
         x.footer(1, len(stamps)),
         own_header(9, AGENT, "events"),
@@ -432,6 +431,12 @@ def paused_recording(*stamps: float, more: Sequence[object] = ()) -> bytes:
         x.offsets(9, (1005, 1010, 1015)),
         x.footer(9, len(texts)),
     )
+
+
+def paused_recording(*stamps: float, more: Sequence[object] = ()) -> bytes:
+    """Return a recording of a strap's acceleration, which was paused from 5 to 8 s."""
+    changes = [event("paused", 1005.0), event("resumed", 1008.0)]
+    return told_recording([heartbeat(**STREAMING), *changes, *more], *stamps)
 
 
 def acc(begin: float, end: float) -> list[float]:
@@ -455,6 +460,73 @@ def test_a_gap_beside_a_pause_is_a_loss_all_the_same() -> None:
     # Longer than the pause by more than its edges.
     report = check(paused_recording(*acc(1000, 1002), *acc(1012, 1020)))
     assert ("gaps", "P01-polar_h10-A1-acc") in codes(report)
+
+
+DROP = [
+    heartbeat(**STREAMING),
+    event("disconnected", 1005.0),
+    event("connected", 1008.0),
+]
+
+
+def test_a_gap_while_a_device_was_away_is_one_event_with_it() -> None:
+    report = check(told_recording(DROP, *acc(1000, 1005), *acc(1009, 1020)))
+    (event_found,) = by_event([e for e in report.findings if e.level is Level.WARNING])
+    head, consequences = event_found
+    assert head.text == "polar_h10/A1 of P01 was not connected from 5.0 s to 8.0 s"
+    # Nothing of it is kept from a script.
+    assert [(each.code, each.part_of) for each in consequences] == [("gaps", head.text)]
+    assert verdict(report).sentence.endswith(
+        "the file is intact, but 1 thing happened that the analysis must consider"
+    )
+    told = as_text(report)
+    assert f"warning: {head.text}; because of that:\n    P01-polar_h10-A1-acc: 1 gap of" in told
+    assert "1 warning" in told
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        (*acc(1000, 1002), *acc(1002.5, 1005), *acc(1009, 1020)),
+        (*acc(1000, 1002), *acc(1012, 1020)),
+    ],
+)
+def test_a_gap_that_an_absence_does_not_explain_is_another_event(stamps: Sequence[float]) -> None:
+    report = check(told_recording(DROP, *stamps))
+    found = by_event([each for each in report.findings if each.level is Level.WARNING])
+    assert [(head.code, parts) for head, parts in found] == [("away", []), ("gaps", [])]
+
+
+def test_who_is_away_to_the_end_and_ends_early_is_one_event() -> None:
+    events = [heartbeat(**STREAMING), event("disconnected", 1005.0)]
+    other = told_recording(events, *acc(1000, 1005))
+    tail = x.xdf(
+        own_header(4, strap("P02"), "acc"),
+        x.samples(4, "float32", [[0.0, 0.0, k % 7.0] for k in range(1000)], acc(1000, 1020)),
+        x.offsets(4, (1005, 1010, 1015)),
+        x.footer(4, 1000),
+    )
+    report = check(other + tail[len(x.xdf()) :])
+    found = by_event([each for each in report.findings if each.code in ("away", "ends-early")])
+    ((head, parts),) = found
+    assert (head.code, [each.code for each in parts]) == ("away", ["ends-early"])
+
+
+def test_a_restart_of_the_agent_is_one_event_with_its_gaps() -> None:
+    first = heartbeat(**STREAMING) | {"agent_started": 900.0, "lsl_time": 1004.0}
+    second = heartbeat(**STREAMING) | {"agent_started": 1006.5, "lsl_time": 1008.0}
+    report = check(told_recording([first, second], *acc(1000, 1005), *acc(1009, 1020)))
+    ((head, parts),) = by_event([e for e in report.findings if e.level is Level.WARNING])
+    assert head.text == "the agent was restarted between 4.0 s and 8.0 s"
+    assert [each.code for each in parts] == ["gaps"]
+
+
+def test_one_kind_of_refusal_is_told_once_with_its_newest_count() -> None:
+    one = "1 sample was left out: hr was 300"
+    more = "2 samples were left out: hr was 301.5"
+    assert newest_of_each_kind([one, more]) == [more]
+    others = ["ch1 has not changed for 10 s", "ch2 has not changed for 10 s"]
+    assert newest_of_each_kind(others) == others
 
 
 def test_of_one_that_comes_and_goes_the_rest_is_counted() -> None:

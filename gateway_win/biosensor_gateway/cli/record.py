@@ -41,6 +41,7 @@ from biosensor_gateway.recording.recorder.request import (
 from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import look, own_events
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.printing import finding_lines, printable
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder, usual_recordings_folder
@@ -77,7 +78,7 @@ def stop_text(stopped: Stopped) -> str:
     verdict = stopped.verdict
     if verdict is None:
         return f"{closed}; check it with: biosensor-gateway xdf check {stopped.file}"
-    findings = [_finding(each) for each in verdict.findings if each.level is not Level.NOTE]
+    findings = finding_lines([each for each in verdict.findings if each.level is not Level.NOTE])
     return "\n".join([closed, *findings, f"{verdict.colour}: {verdict.sentence}"])
 
 
@@ -110,28 +111,18 @@ def _window_recording(known: Status) -> str:
 def progress_text(head: str, progress: Progress | None, problems: Sequence[Finding]) -> str:
     """Return the contents of a growing file, and its problems."""
     if progress is None:
-        return "\n".join([head, *map(_finding, problems)])
+        return "\n".join([head, *finding_lines(problems)])
     size = f"{progress.length_s:.0f} s, {progress.bytes} bytes, {len(progress.streams)} streams"
-    return "\n".join([f"{head}: {size}", *map(_row, progress.streams), *map(_finding, problems)])
+    return "\n".join([f"{head}: {size}", *map(_row, progress.streams), *finding_lines(problems)])
 
 
 def _row(stream: StreamProgress) -> str:
     if stream.age_s is None:
-        return f"    {_safe(stream.name)}: nothing yet"
+        return f"    {printable(stream.name)}: nothing yet"
     return (
-        f"    {_safe(stream.name)}: {stream.samples} samples, the newest {stream.age_s:.1f} s ago, "
-        f"{stream.clock_offsets} clock offsets"
+        f"    {printable(stream.name)}: {stream.samples} samples, the newest {stream.age_s:.1f} s "
+        f"ago, {stream.clock_offsets} clock offsets"
     )
-
-
-def _finding(finding: Finding) -> str:
-    where = f"{_safe(finding.stream)}: " if finding.stream else ""
-    return f"{finding.level}: {where}{_safe(finding.text)}"
-
-
-def _safe(text: str) -> str:
-    """Replace control characters, which other programs' streams could send to the terminal."""
-    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
 
 
 def warn(warnings: Iterable[str], *, silent: bool) -> None:

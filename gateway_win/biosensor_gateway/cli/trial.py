@@ -49,6 +49,7 @@ from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import RecordingRequest
 from biosensor_gateway.recording.recorder.streams import Presence, look
 from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.printing import finding_lines
 from biosensor_gateway.recording.xdf.verdict import Colour, ExpectedStream, Verdict, check
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.browser import open_page
@@ -308,9 +309,8 @@ def print_verdict(verdict: Verdict) -> None:
     ]
     terminal = console()
     terminal.print(table_of_names(("stream", "samples", "gaps", "lost"), rows, terminal.width))
-    for each in verdict.findings:
-        if each.level is not Level.NOTE:
-            say(f"{each.level}: {each.stream}: {each.text}" if each.stream else each.text)
+    for line in finding_lines([each for each in verdict.findings if each.level is not Level.NOTE]):
+        say(line)
     say(f"{verdict.colour}: {verdict.sentence}")
     if verdict.colour is not Colour.RED and not all(each.samples for each in named):
         say(

@@ -5,6 +5,7 @@ They extend the models of ``status --json`` in `biosensor_gateway.agent.status`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum, unique
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
-from biosensor_gateway.recording.xdf.findings import Finding
+from biosensor_gateway.recording.xdf.findings import Finding, by_event
 
 
 class ScreenStream(BaseModel):
@@ -359,6 +360,8 @@ class ExplainedFinding(BaseModel):
         ``persons``, ``others`` (streams of other programs) or ``ourselves``.
     means, to_do
         What it means for a study, and what to do; empty without an explanation.
+    consequences
+        Findings about streams that this one explains.
     """
 
     level: str
@@ -366,10 +369,23 @@ class ExplainedFinding(BaseModel):
     text: str
     means: str
     to_do: str
+    consequences: list[str] = []
 
 
-def explained(finding: Finding) -> ExplainedFinding:
-    """Return a finding with its explanation."""
+def sentence(finding: Finding) -> str:
+    """Return a finding as one sentence, with its stream."""
+    return f"{finding.stream}: {finding.text}" if finding.stream else finding.text
+
+
+def all_explained(findings: Sequence[Finding]) -> list[ExplainedFinding]:
+    """Return findings with their explanations, each with its consequences."""
+    return [
+        _explained(each).model_copy(update={"consequences": list(map(sentence, consequences))})
+        for each, consequences in by_event(findings)
+    ]
+
+
+def _explained(finding: Finding) -> ExplainedFinding:
     known = EXPLANATIONS.get(finding.code)
     return ExplainedFinding(
         level=finding.level.value,

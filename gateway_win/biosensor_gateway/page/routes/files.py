@@ -17,7 +17,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
-from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText, explained
+from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText, all_explained
 from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.contents.choice import Selection, choose
@@ -280,7 +280,7 @@ def _judged(path: Path, session: Session) -> Judged:
     judged = Judged(
         colour=found.colour.value,
         sentence=found.sentence,
-        findings=[explained(each) for each in found.findings],
+        findings=all_explained(found.findings),
         can_be_salvaged=found.can_be_salvaged,
     )
     try:

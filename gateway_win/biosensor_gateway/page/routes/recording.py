@@ -27,7 +27,8 @@ from biosensor_gateway.page.models import (
     PathText,
     RecordingView,
     VerdictView,
-    explained,
+    all_explained,
+    sentence,
 )
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
@@ -44,7 +45,7 @@ from biosensor_gateway.recording.recorder.request import (
     VisibleStream,
 )
 from biosensor_gateway.recording.recorder.streams import Presence, look, titles
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings.places import usual_recordings_folder, warnings_of
@@ -284,8 +285,12 @@ class Recorder:
         if standing.recording:
             self._story.look(devices or (), standing)
         sight = standing.sight
-        problems = [_said(each) for each in standing.problems if each.level is Level.ERROR]
-        notes = [_said(each) for each in standing.problems if each.level is not Level.ERROR]
+        events = [
+            (head.level, "; ".join(map(sentence, [head, *consequences])))
+            for head, consequences in by_event(standing.problems)
+        ]
+        problems = [text for level, text in events if level is Level.ERROR]
+        notes = [text for level, text in events if level is not Level.ERROR]
         notes += self._story.notes
         return view.model_copy(
             update={
@@ -310,8 +315,8 @@ def _view(ended: LocalStopped) -> VerdictView:
         colour=str(verdict.colour.value),
         sentence=verdict.sentence,
         file=verdict.file,
-        findings=list(map(_said, findings)),
-        explained=list(map(explained, findings)),
+        findings=list(map(sentence, findings)),
+        explained=all_explained(findings),
         can_be_salvaged=verdict.can_be_salvaged,
     )
 
@@ -324,18 +329,14 @@ def _unclosed(file: str, error: NotClosedError) -> VerdictView:
         colour=str(Colour.RED.value),
         sentence=verdict.sentence if verdict else "none of it can be read",
         file=verdict.file if verdict else file,
-        findings=list(map(_said, findings)),
-        explained=list(map(explained, findings)),
+        findings=list(map(sentence, findings)),
+        explained=all_explained(findings),
         can_be_salvaged=verdict is not None and verdict.can_be_salvaged,
     )
 
 
 def _told(level: Level, *sentences: str) -> list[Finding]:
     return [Finding(level, "told", "", each) for each in sentences]
-
-
-def _said(finding: Finding) -> str:
-    return f"{finding.stream}: {finding.text}" if finding.stream else finding.text
 
 
 def _require_sensors(devices: Sequence[Mapping[str, Any]]) -> None:

@@ -32,6 +32,7 @@ from biosensor_gateway.recording.xdf.event_rules import (
     OF_ANOTHER_AGENT,
     EventLog,
     Spell,
+    are_within,
     split_pauses,
 )
 from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
@@ -498,20 +499,31 @@ class Growth:
 
     def gaps(self) -> Iterator[Finding]:
         """Yield the gaps of each device so far, from its stream with the longest ones."""
-        worst: dict[str, Gaps] = {}
+        worst: dict[str, tuple[Gaps, _StreamReader]] = {}
         for each in self._streams.values():
             header, gaps = each.header, self._gaps_of(each)
             device = header.name.rpartition("-")[0] if header.is_ours else header.title
             if gaps.count and not header.is_counters:
-                worst[device] = max(worst.get(device, gaps), gaps, key=lambda one: one.count)
-        for device, gaps in worst.items():
+                found = gaps, each
+                worst[device] = max(worst.get(device, found), found, key=lambda one: one[0].count)
+        away = self._spells_over()
+        for device, (gaps, stream) in worst.items():
             many = "1 gap" if gaps.count == 1 else f"{gaps.count} gaps"
             longest = "of" if gaps.count == 1 else "the longest of"
             text = f"{many} so far, {longest} {longest_s(gaps):.3g} s"
-            yield Finding(Level.WARNING, "gaps", device, text)
+            spells = away.get(stream.header.identity, {}) if stream.header.identity else {}
+            is_explained = len(spells) == 1 and are_within(gaps, list(spells.values()))
+            part_of = next(iter(spells)) if is_explained else ""
+            yield Finding(Level.WARNING, "gaps", device, text, part_of=part_of)
 
     def was_away(self) -> Iterator[Finding]:
         """Yield when devices were paused or not connected that are so no longer."""
+        for spells in self._spells_over().values():
+            for text in spells:
+                yield Finding(Level.WARNING, "away", "", text)
+
+    def _spells_over(self) -> dict[DeviceIdentity, dict[str, Spell]]:
+        """Return the past absences of each device, by their sentences."""
         told = [
             (device, spell, log)
             for log in (each.log for each in self._streams.values() if each.log)
@@ -520,9 +532,10 @@ class Growth:
         ]
         devices = list(dict.fromkeys(device for device, _, _ in told))
         name_of = dict(zip(devices, names(map(asdict, devices), "'s "), strict=True))
+        found: dict[DeviceIdentity, dict[str, Spell]] = {device: {} for device in devices}
         for device, spell, log in told:
-            text = f"{name_of[device]} was {_spell(spell, log)}"
-            yield Finding(Level.WARNING, "away", "", text)
+            found[device][f"{name_of[device]} was {_spell(spell, log)}"] = spell
+        return found
 
     def other_agents(self, source_id: str, own_started_s: float | None) -> Iterator[Finding]:
         """Yield from when on another agent's streams of the same source_ids are recorded.

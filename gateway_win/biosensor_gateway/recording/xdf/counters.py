@@ -51,6 +51,10 @@ class Reading(NamedTuple):
     lacking: tuple[str, ...] = ()
 
 
+# Numbers, but not those in names, and what differs between one sample and several.
+_NUMBERS = re.compile(r"(?<![\w.])[0-9][0-9.]*(?![\w-])|\b(?:is|are|was|were)\b|(?<=\w)s\b")
+
+
 @dataclass(frozen=True, slots=True)
 class RecordedCounters:
     """The agent's counters of one stream, compared with its recording."""
@@ -225,7 +229,7 @@ def refusals(readings: Sequence[Reading]) -> list[str]:
 
 def newest_of_each_kind(sentences: Iterable[str]) -> list[str]:
     """Return the last of the sentences that differ only in their numbers, which grow."""
-    return list({re.sub(r"[0-9.]+", "", each): each for each in sentences}.values())
+    return list({_NUMBERS.sub("", each): each for each in sentences}.values())
 
 
 def _stays(sentence: str, readings: Sequence[Reading]) -> bool:

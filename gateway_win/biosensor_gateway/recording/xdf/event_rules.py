@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.naming import AGENT
@@ -15,6 +16,7 @@ from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS
 from biosensor_gateway.agent.selection import device_name, holders
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import Gap, Gaps
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
@@ -27,6 +29,8 @@ OF_ANOTHER_AGENT = (
     "another LSL session: data from then on may be another person's"
 )
 _MOST_SPELLS = 3
+_ESTIMATED, _MOST_STRAY = 1.02, 2
+"""By how much, and by how many samples, a count of lost ones may exceed the estimate of gaps."""
 _EDGE_S = 3.0
 """A device's last packet before a pause comes a while later, and after it 1 s is left out."""
 
@@ -37,16 +41,8 @@ def tells_devices(recording: Recording) -> bool:
     return any(_states(each) for each in events)
 
 
-def judge_devices(
-    streams: Sequence[Measured], extent: Extent, without: Collection[str] = ()
-) -> Iterator[Finding]:
-    """Report devices of an agent that were not recorded, or not until the end.
-
-    Parameters
-    ----------
-    without
-        source_ids of sensors that the user has excluded.
-    """
+def judge_devices(streams: Sequence[Measured], extent: Extent) -> Iterator[Finding]:
+    """Report devices of an agent that were not recorded, or not until the end."""
     for events in streams:
         if not events.stream.header.is_events:
             continue
@@ -54,10 +50,87 @@ def judge_devices(
         yield from _another_agent(events, extent)
         yield from _left_out(own, events)
         yield from _removed(own, events, extent)
-        yield from _away(own, events, extent, without)
         yield from _jumped(own, events, extent)
         yield from _silent(own, events, extent)
         yield from _refused(own, events, extent)
+
+
+@dataclass(frozen=True, slots=True)
+class Absence:
+    """When a device did not send, or its agent did not run, and the finding that reports it."""
+
+    finding: Finding
+    device: DeviceIdentity | None  # None for the agent and all its devices.
+    hostname: str  # Of the agent's computer.
+    spells: tuple[Spell, ...]
+
+    def concerns(self, header: RecordedHeader) -> bool:
+        """Whether a stream is of this device or agent."""
+        is_beside = header.is_of_agent and header.hostname == self.hostname
+        return is_beside and self.device in (None, header.identity)
+
+
+def absences(
+    streams: Sequence[Measured], extent: Extent, without: Collection[str] = ()
+) -> list[Absence]:
+    """Return when agents did not run, and when each recorded device was away.
+
+    Parameters
+    ----------
+    without
+        source_ids of sensors that the user has excluded.
+    """
+    found: list[Absence] = []
+    for events in streams:
+        if events.stream.header.is_events:
+            own = [each for each in streams if _is_beside(each, events)]
+            log = EventLog.of(events.stream.texts, _recorded(own))
+            found += _restarted(log, events, extent)
+            found += _away(log, own, events, extent, without)
+    return found
+
+
+def consequence(
+    finding: Finding, measured: Measured, extent: Extent, away: Sequence[Absence]
+) -> Finding:
+    """Return a finding about a stream, with the absence that explains all of it, if one does."""
+    own = [each for each in away if each.concerns(measured.stream.header)]
+    # After a restart of the clock, samples are on another clock than events.
+    if not own or measured.figures.offsets.resets:
+        return finding
+    levels = list(Level)
+    causes = [e for e in own if levels.index(e.finding.level) <= levels.index(finding.level)]
+    if finding.code == "restarted":
+        causes = [each for each in causes if each.device is None]
+    else:
+        missing = _missing_times(finding.code, measured, extent)
+        spells = [spell for each in own for spell in each.spells]
+        if not all(_is_within(gap, spells) for gap in missing):
+            return finding
+        causes = [e for e in causes if any(_overlap_s(gap, e.spells) for gap in missing)]
+    return replace(finding, part_of=causes[0].finding.text) if causes else finding
+
+
+def _missing_times(code: str, measured: Measured, extent: Extent) -> Sequence[Gap]:
+    """Return in which times samples are missing, as a finding of this code says."""
+    figures = measured.figures
+    gaps = figures.gaps
+    if code == "paused":
+        return figures.pauses.listed
+    if code == "gaps" and gaps.count == len(gaps.listed):
+        return gaps.listed
+    if code == "lost" and measured.counters is not None and gaps.count == len(gaps.listed):
+        # Of the gaps an estimate is known, of some devices also the count.
+        is_in_gaps = measured.counters.lost <= gaps.lost * _ESTIMATED + _MOST_STRAY
+        return gaps.listed if is_in_gaps else ()
+    if figures.first is None or figures.last is None:
+        begin = extent.begin - measured.recorder_offset_s
+        return [Gap(begin, extent.length_s, 0)] * (code == "no-samples")
+    late_s = extent.since_begin(figures.first, measured)
+    if code == "begins-late":
+        return [Gap(figures.first - late_s, late_s, 0)]
+    early_s = extent.length_s - extent.since_begin(figures.last, measured)
+    return [Gap(figures.last, early_s, 0)] * (code == "ends-early")
 
 
 def without_pauses(streams: Sequence[Measured]) -> list[Measured]:
@@ -86,7 +159,7 @@ def _without(measured: Measured, pauses: Sequence[Spell]) -> Measured:
 def split_pauses(gaps: Gaps, spells: Sequence[Spell]) -> tuple[Gaps, Gaps]:
     """Return the gaps of a device's stream without those in which it was paused, and those."""
     pauses = [each for each in spells if each.how == PAUSED]
-    paused = tuple(gap for gap in gaps.listed if any(_is_within(gap, each) for each in pauses))
+    paused = tuple(gap for gap in gaps.listed if any(_is_within(gap, [each]) for each in pauses))
     told = Gaps(len(paused), 0, sum(gap.length_s for gap in paused), paused)
     rest = Gaps(
         gaps.count - told.count,
@@ -97,12 +170,33 @@ def split_pauses(gaps: Gaps, spells: Sequence[Spell]) -> tuple[Gaps, Gaps]:
     return rest, told
 
 
-def _is_within(gap: Gap, pause: Spell) -> bool:
-    """Whether a gap lacks no more than was not sent during a pause."""
+def are_within(gaps: Gaps, spells: Sequence[Spell]) -> bool:
+    """Whether all gaps of a device's stream lack no more than was not sent in these times."""
+    are_listed = gaps.count == len(gaps.listed) > 0
+    return are_listed and all(_is_within(gap, spells) for gap in gaps.listed)
+
+
+def _is_within(gap: Gap, spells: Sequence[Spell]) -> bool:
+    """Whether a gap lacks no more than was not sent in these times."""
+    covered_s = _overlap_s(gap, spells)
+    return covered_s > 0 and gap.length_s - covered_s <= _EDGE_S
+
+
+def _overlap_s(gap: Gap, spells: Sequence[Spell]) -> float:
+    """Return how much of a gap lies in these times, in s."""
     begin, end = gap.after, gap.after + gap.length_s
-    since = begin if pause.since is None else max(begin, pause.since)
-    until = end if pause.until is None else min(end, pause.until)
-    return until > since and gap.length_s - (until - since) <= _EDGE_S
+    parts = sorted(
+        (
+            begin if each.since is None else max(begin, each.since),
+            end if each.until is None else min(end, each.until),
+        )
+        for each in spells
+    )
+    covered_s, reached = 0.0, begin
+    for since, until in parts:
+        covered_s += max(0.0, until - max(since, reached))
+        reached = max(reached, until)
+    return covered_s
 
 
 def pauses_told(
@@ -184,24 +278,44 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
         yield Finding(Level.ERROR, "removed", "", text)
 
 
+def _restarted(log: EventLog, events: Measured, extent: Extent) -> Iterator[Absence]:
+    """Report when the agent was restarted; its heartbeats show between which times."""
+    spells = tuple(log.restarts)
+    if spells:
+        said = ", ".join(
+            f"between {extent.since_begin(each.since or 0.0, events):.1f} s and "
+            f"{extent.since_begin(each.until or 0.0, events):.1f} s"
+            for each in spells[:_MOST_SPELLS]
+        )
+        more = len(spells) - _MOST_SPELLS
+        text = f"the agent was restarted {said}" + (f" and {more} more times" if more > 0 else "")
+        host = events.stream.header.hostname
+        yield Absence(Finding(Level.WARNING, "restarted", "", text), None, host, spells)
+
+
 def _away(
-    own: Sequence[Measured], events: Measured, extent: Extent, without: Collection[str]
-) -> Iterator[Finding]:
+    log: EventLog,
+    own: Sequence[Measured],
+    events: Measured,
+    extent: Extent,
+    without: Collection[str],
+) -> Iterator[Absence]:
     """Report when each recorded device was paused or not connected."""
-    for device, spells in EventLog.of(events.stream.texts, _recorded(own)).spells.items():
+    host = events.stream.header.hostname
+    for device, spells in log.spells.items():
         streams = [each for each in own if each.stream.header.identity == device]
         said = _spells_text(spells, lambda at: extent.since_begin(at, events))
         named = _named(device)
         # A battery level may have been measured before the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
-            yield Finding(Level.WARNING, "away", "", f"{named} was {said}")
+            level, text = Level.WARNING, f"{named} was {said}"
         elif any(each.stream.header.source_id in without for each in streams):
+            level = Level.WARNING
             text = f"{named} was {said}, and was left out on purpose: it is not in the recording"
-            yield Finding(Level.WARNING, "away", "", text)
         else:
-            text = f"{named} was {said}, and none of its data was recorded"
-            yield Finding(Level.ERROR, "away", "", text)
+            level, text = Level.ERROR, f"{named} was {said}, and none of its data was recorded"
+        yield Absence(Finding(level, "away", "", text), device, host, tuple(spells))
 
 
 def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
@@ -397,6 +511,16 @@ class EventLog:
                 return run.since_s
             before = run
         return None
+
+    @property
+    def restarts(self) -> list[Spell]:
+        """When this agent was restarted, each from its last heartbeat to the next one."""
+        if self.other_agent_since() is not None:
+            return []
+        return [
+            Spell("restarted", before.until_s, after.since_s)
+            for before, after in pairwise(self._agents)
+        ]
 
     def unix_s(self, lsl_s: float) -> float | None:
         """Return the Unix time of an LSL time of the agent, by its newest heartbeat."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum, unique
 from pathlib import Path
@@ -45,6 +45,8 @@ class Finding:
     stream: str  # Name of the stream; empty for the whole file.
     text: str
     about: About = About.PERSONS
+    # Text of the finding about the event of which this one is a consequence.
+    part_of: str = ""
 
     def of(self, about: About) -> Finding:
         """Return a copy about this subject; about our own streams, with a milder level."""
@@ -63,6 +65,19 @@ def other_participants(
 
 
 _MILDER = {Level.ERROR: Level.WARNING, Level.WARNING: Level.NOTE}
+
+
+def by_event(findings: Sequence[Finding]) -> list[tuple[Finding, list[Finding]]]:
+    """Return each finding that is not a consequence of another one, with its consequences."""
+    heads = {each.text: each for each in reversed(findings) if not each.part_of}
+    parts: dict[str, list[Finding]] = {text: [] for text in heads}
+    for each in findings:
+        parts.get(each.part_of, []).append(each)
+    return [
+        (each, parts[each.text] if heads.get(each.text) is each else [])
+        for each in findings
+        if each.part_of not in heads
+    ]
 
 
 def in_order(findings: Iterable[Finding]) -> list[Finding]:

@@ -11,7 +11,7 @@ from itertools import groupby
 from typing import Any, cast
 
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
-from biosensor_gateway.recording.xdf.findings import About, Finding, Level
+from biosensor_gateway.recording.xdf.findings import About, Finding, Level, by_event
 from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.report import Measured, Report
 
@@ -109,13 +109,10 @@ def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
 def as_text(report: Report) -> str:
     """Return the report as text."""
     lines = [line for each in report.streams for line in _stream_lines(each, report)]
-    for about, findings in groupby(report.findings, key=lambda each: each.about):
+    # Events first, since a consequence may be about another subject than its event.
+    for about, events in groupby(by_event(report.findings), key=lambda each: each[0].about):
         lines += [heading] if (heading := _HEADINGS[about]) else []
-        lines += [
-            f"{finding.level}: {printable(finding.stream) + ': ' if finding.stream else ''}"
-            f"{printable(finding.text)}"
-            for finding in findings
-        ]
+        lines += [line for each in events for line in _event_lines(*each)]
     lines.append(_summary(report))
     if report.findings:
         lines.append(f"what each of these means, and what to do: {PAGE}")
@@ -127,8 +124,22 @@ def as_text(report: Report) -> str:
     return "\n".join(lines)
 
 
+def finding_lines(findings: Sequence[Finding]) -> list[str]:
+    """Return findings as lines, each followed by its consequences."""
+    return [line for each in by_event(findings) for line in _event_lines(*each)]
+
+
+def _event_lines(head: Finding, parts: Sequence[Finding]) -> Iterator[str]:
+    yield f"{head.level}: {_sentence(head)}{'; because of that:' * bool(parts)}"
+    yield from (f"    {_sentence(each)}" for each in parts)
+
+
+def _sentence(finding: Finding) -> str:
+    return printable(f"{finding.stream}: {finding.text}" if finding.stream else finding.text)
+
+
 def _summary(report: Report) -> str:
-    levels = Counter(finding.level for finding in report.findings)
+    levels = Counter(finding.level for finding, _ in by_event(report.findings))
     counts = [
         f"{levels[level]} {level}{'' if levels[level] == 1 else 's'}"
         for level in Level

@@ -16,11 +16,17 @@ from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings, refusals
-from biosensor_gateway.recording.xdf.event_rules import judge_devices, without_pauses
+from biosensor_gateway.recording.xdf.event_rules import (
+    absences,
+    consequence,
+    judge_devices,
+    without_pauses,
+)
 from biosensor_gateway.recording.xdf.findings import (
     About,
     Finding,
     Level,
+    by_event,
     in_order,
     other_participants,
 )
@@ -46,6 +52,7 @@ def judge(
     streams = [Measured(stream, measure(stream)) for stream in recording.streams]
     streams, findings = compare_with_agent(without_pauses(streams))
     length = extent(streams)
+    away = absences(streams, length, without)
     findings = [
         *_damaged(recording),
         *_not_closed(recording),
@@ -54,11 +61,17 @@ def judge(
         *_duplicates(streams),
         *_unaligned(streams),
         *_replayed(streams),
-        *judge_devices(streams, length, without),
+        *(each.finding for each in away),
+        *judge_devices(streams, length),
         *judge_robot_clocks(streams),
         *findings,
         *(
-            finding if finding.code in _OF_PERSONS else finding.of(about(each.stream.header))
+            consequence(
+                finding if finding.code in _OF_PERSONS else finding.of(about(each.stream.header)),
+                each,
+                length,
+                away,
+            )
             for each in streams
             for finding in judge_stream(each, length)
         ),
@@ -421,7 +434,7 @@ def _sentence(report: Report, colour: Colour) -> str:
     if colour is Colour.GREEN:
         return f"{what}all is there"
     worst = Level.ERROR if colour is Colour.RED else Level.WARNING
-    count = sum(finding.level is worst for finding in report.findings)
+    count = sum(finding.level is worst for finding, _ in by_event(report.findings))
     if colour is Colour.RED:
         things = "1 thing is" if count == 1 else f"{count} things are"
         return f"{what}{things} wrong or missing in the file"

@@ -33,6 +33,7 @@ function InARecording({ finding }) {
   return html`
     <li>
       <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${finding.text}
+      ${finding.consequences?.length > 0 && html`<details class="small"><summary>Because of that (${finding.consequences.length})</summary><ul>${finding.consequences.map((each) => html`<li>${each}</li>`)}</ul></details>`}
       ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${worded(finding.means)}</p><p>${worded(finding.to_do)}</p></details>`}
     </li>`;
 }

@@ -71,7 +71,7 @@ function Verdict({ verdict, act }) {
       <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${verdict.sentence}</p>
       <p class="small soft file">${verdict.file}</p>
       <${Salvage} verdict=${verdict} act=${act} />
-      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><div class="explained" tabindex="0"><${Explained} findings=${verdict.explained} /></div></details>`}
+      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.explained.length})</summary><div class="explained" tabindex="0"><${Explained} findings=${verdict.explained} /></div></details>`}
     </div>`;
 }
 
