@@ -15,6 +15,7 @@ import pytest
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.naming import source_id
 from biosensor_common.process_limits import INTERRUPTED
 from biosensor_common.refusal import LATELY_S, Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
@@ -27,7 +28,7 @@ from biosensor_gateway.agent.selection import holders, unique_names
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.cli import agent as commands
-from biosensor_gateway.cli import app, config, page, record
+from biosensor_gateway.cli import agent_process, app, config, output, page, record
 from biosensor_gateway.cli.app import EXIT_FAILED, EXIT_USAGE, refusal
 from biosensor_gateway.cli.config import edit
 from biosensor_gateway.demo.virtual_devices import simulated_settings
@@ -51,6 +52,7 @@ from biosensor_gateway.streaming.events.announcer import device_facts
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.device_log import names_in_log
+from biosensor_gateway.system.keep_alive import RESTARTS
 from biosensor_gateway.system.logs import configure_logs, flush_logs
 from tests.gateway.test_new_file import NoDriver
 from tests.rigs.kept_logging import kept_logging
@@ -248,7 +250,7 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
         def typed(_question: str) -> str:
             return text
 
-        monkeypatch.setattr(commands, "can_ask", lambda: True)
+        monkeypatch.setattr(output, "can_ask", lambda: True)
         monkeypatch.setattr(builtins, "input", typed)
 
     return answers
@@ -340,6 +342,55 @@ def test_an_editor_is_opened_with_a_warning(
 def entry(unit: str, **more: object) -> DeviceSettings:
     table = {"sensor": "polar_h10", "unit": unit, "device": f"AA:BB:CC:DD:EE:0{unit}", **more}
     return settings_models()["polar_h10"].model_validate(table)
+
+
+@pytest.fixture
+def of_two(recording: Path, tmp_path: Path) -> list[DeviceSettings]:
+    """Have the recording begun with two straps; return one of them."""
+    strap, other = entry("1"), entry("2")
+    required = tuple(source_id(each.identity, "ecg") for each in (strap, other))
+    RecorderFolder(tmp_path).save(SavedRecording(str(recording), required, 1.0))
+    return [strap]
+
+
+def _start(devices: list[DeviceSettings], folder: Path, **options: bool) -> str:
+    settings = GatewaySettings().model_copy(update={"devices": devices})
+    options = {"may_ask": True, "confirmed": False} | options
+    return str(agent_process.confirm_start(settings, folder, **options) or "")
+
+
+def test_a_start_that_costs_a_sensor_is_refused_without_a_terminal(
+    of_two: list[DeviceSettings], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="--while-recording") as caught:
+        _start(of_two, tmp_path)
+    assert caught.value.reason is ConfigReason.IN_USE
+    assert "no longer have polar_h10-2" in str(caught.value)
+    # Who confirms it finds it in the log; whoever starts all sensors is not asked.
+    assert "no longer have polar_h10-2" in _start(of_two, tmp_path, confirmed=True)
+    assert not _start([*of_two, entry("2")], tmp_path)
+
+
+@pytest.mark.parametrize("typed", ["", "2"])
+def test_at_a_terminal_a_start_that_costs_a_sensor_is_asked_about(
+    of_two: list[DeviceSettings], tmp_path: Path, answers: Callable[[str], None], typed: str
+) -> None:
+    answers(typed)
+    if typed:
+        assert "no longer have polar_h10-2" in _start(of_two, tmp_path)
+    else:
+        with pytest.raises(typer.Exit) as caught:
+            _start(of_two, tmp_path)
+        assert caught.value.exit_code == 2
+    with pytest.raises(ConfigError):
+        _start(of_two, tmp_path, may_ask=False)
+
+
+def test_a_supervisor_starts_the_other_sensors_and_the_log_says_what_is_lost(
+    of_two: list[DeviceSettings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(RESTARTS, "0")
+    assert "no longer have polar_h10-2" in _start(of_two, tmp_path)
 
 
 def test_a_preview_says_what_a_change_would_do() -> None:

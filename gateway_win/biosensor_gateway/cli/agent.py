@@ -7,23 +7,27 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent import control, single_instance
 from biosensor_gateway.agent.control import USUAL_LIMIT_S, stop_agent
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
-from biosensor_gateway.cli.output import can_ask, menu
+from biosensor_gateway.cli.output import can_ask, confirm_while_recording
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system.child import start_beside
 from biosensor_gateway.system.keep_alive import is_standby, restart_facts
 
 _END_AFTER_MIN = "1"
+
+WhileRecording = Annotated[
+    bool,
+    typer.Option("--while-recording", help="Do it although a running recording loses sensors."),
+]
 
 
 def run(
@@ -47,12 +51,17 @@ def run(
             "--features", help="Also send live features: heart rate, skin responses, breaths."
         ),
     ] = False,
+    while_recording: WhileRecording = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
     _keep_alive: Annotated[
         bool, typer.Option(KEEP_ALIVE, help="Restart the agent whenever it dies.")
     ] = False,
 ) -> None:
-    """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
+    """Stream all devices of the settings until Ctrl-C, or until it is told to stop.
+
+    A start by which a running recording loses sensors must be confirmed; without a terminal it is
+    refused with exit code 2.
+    """
     virtual = ",".join(simulate or ())
     if is_standby():
         from biosensor_gateway.cli.agent_process import stand_by  # takes a second
@@ -78,7 +87,15 @@ def run(
         )
     from biosensor_gateway.cli.agent_process import stream  # takes a second
 
-    stream(settings, virtual, fault or (), ask=ask, features=features, verbose=verbose)
+    stream(
+        settings,
+        virtual,
+        fault or (),
+        ask=ask,
+        while_recording=while_recording,
+        features=features,
+        verbose=verbose,
+    )
 
 
 def open_page_beside(settings: Path | None) -> None:
@@ -101,10 +118,7 @@ def stop(
     timeout: Annotated[
         float, typer.Option(min=1, help="How many seconds to wait for the agent to end.")
     ] = USUAL_LIMIT_S,
-    while_recording: Annotated[
-        bool,
-        typer.Option("--while-recording", help="End it although a recording loses all sensors."),
-    ] = False,
+    while_recording: WhileRecording = False,
 ) -> None:
     """End the running agent; exit code 1 if none runs or it does not end in time.
 
@@ -118,7 +132,7 @@ def stop(
     state = state_folder()
     file = file_going_on(state)
     if file is not None and not while_recording and single_instance.is_held(state):
-        _confirm(
+        confirm_while_recording(
             f"a recording goes on, to {file}, and from then on it holds nothing of any sensor",
             ["Leave it until the recording has ended", "End the agent now all the same"],
         )
@@ -190,14 +204,7 @@ _SENTENCES = {
 }
 
 
-def reload(
-    while_recording: Annotated[
-        bool,
-        typer.Option(
-            "--while-recording", help="Change devices even if a recording then loses them."
-        ),
-    ] = False,
-) -> None:
+def reload(while_recording: WhileRecording = False) -> None:
     """Have the running agent read its settings again; unchanged devices go on streaming.
 
     A broken file changes nothing. Exit code 1 if no agent runs or the file is broken. During a
@@ -234,15 +241,9 @@ def _ask_first(file: Path, changes: dict[str, Any]) -> None:
         f"a recording is running, to {file}, and from then on it may hold nothing from "
         f"{listed(lost)}"
     )
-    _confirm(sentence, ["Leave it until the recording has ended", "Read the settings now anyway"])
-
-
-def _confirm(sentence: str, choices: Sequence[str]) -> None:
-    if not can_ask():
-        message = f"{sentence}; end it first, or confirm that with --while-recording"
-        raise ConfigError(ConfigReason.IN_USE, message)
-    if menu(f"{sentence[0].upper()}{sentence[1:]}.", choices) == 0:
-        raise typer.Exit(2)
+    confirm_while_recording(
+        sentence, ["Leave it until the recording has ended", "Read the settings now anyway"]
+    )
 
 
 def _lines(answer: dict[str, Any]) -> list[str]:

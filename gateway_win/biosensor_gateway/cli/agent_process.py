@@ -7,7 +7,7 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
@@ -28,13 +28,13 @@ from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
 from biosensor_gateway.cli.options import settings_or_defaults
-from biosensor_gateway.cli.output import can_ask, menu
+from biosensor_gateway.cli.output import can_ask, confirm_while_recording
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LogSettings, LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.child import start_for
-from biosensor_gateway.system.keep_alive import await_turn, restart_facts
+from biosensor_gateway.system.keep_alive import RESTARTS, await_turn, restart_facts
 from biosensor_gateway.system.logs import (
     configure_logs,
     console_relayed,
@@ -111,6 +111,7 @@ def stream(
     faults: Iterable[str],
     *,
     ask: bool | None,
+    while_recording: bool,
     features: bool,
     verbose: bool,
 ) -> None:
@@ -123,6 +124,8 @@ def stream(
         `simulated_settings`.
     ask
         Whether to guide a person at the terminal first; None if the settings name no device.
+    while_recording
+        Whether to start even if a running recording loses sensors by it.
 
     Raises
     ------
@@ -138,30 +141,42 @@ def stream(
             simulate = _guided(settings or settings_path())
         read = None if simulate else _reader(settings)
         loaded = read() if read else stack.enter_context(_virtual(simulate, faults, settings))
-        _confirm_start(loaded, folder, may_ask=ask is not False)
-        _run_agent(loaded, read, log, unguarded, features=features, verbose=verbose)
+        lost = confirm_start(loaded, folder, may_ask=ask is not False, confirmed=while_recording)
+        _run_agent(loaded, read, log, [unguarded, lost], features=features, verbose=verbose)
 
 
-def _confirm_start(settings: GatewaySettings, folder: Path, *, may_ask: bool) -> None:
-    """Ask before a start by which a running recording loses sensors; without a terminal, say so.
+def confirm_start(
+    settings: GatewaySettings, folder: Path, *, may_ask: bool, confirmed: bool
+) -> ConfigError | None:
+    """Ask before a start by which a running recording loses sensors.
+
+    Returns
+    -------
+    ConfigError
+        What it loses, if it is confirmed, or nobody can be asked because a supervisor starts this
+        program; None if it loses nothing.
 
     Raises
     ------
+    ConfigError
+        ``IN_USE`` if there is no terminal to ask at.
     typer.Exit
         With code 2 if the person declines.
     """
-    if restart_facts(os.environ):
-        return
     from biosensor_gateway.recording.recorder.state import lost_by_start  # only then
 
     sentence = lost_by_start(settings.devices, folder)
     if not sentence:
-        return
-    choices = ["Do not start; set it back first", "Start without it all the same"]
-    if not (may_ask and can_ask()):
-        typer.echo(f"! {sentence}", err=True)
-    elif menu(f"{sentence[0].upper()}{sentence[1:]}.", choices) == 0:
-        raise typer.Exit(2)
+        return None
+    # If nobody attends, refusing would take the other sensors from the recording, too.
+    is_unattended = RESTARTS in os.environ and not (may_ask and can_ask())
+    if not (confirmed or is_unattended or restart_facts(os.environ)):
+        confirm_while_recording(
+            sentence,
+            ["Do not start; set it back first", "Start without it all the same"],
+            may_ask=may_ask,
+        )
+    return ConfigError(ConfigReason.IN_USE, sentence)
 
 
 def stand_by(simulate: str) -> None:
@@ -226,7 +241,7 @@ def _run_agent(
     loaded: GatewaySettings,
     read: ReadSettings | None,
     log: StartLog,
-    unguarded: ConfigError | None,
+    problems: Sequence[ConfigError | None],
     *,
     features: bool,
     verbose: bool,
@@ -234,8 +249,9 @@ def _run_agent(
     folder = state_folder()
     log.go_on(loaded.log, verbose=verbose, title=sensor_title)
     with quick_edit_off(), console_relayed() as panel:
-        if unguarded is not None:
-            _log.warning(str(unguarded))
+        unguarded, _ = problems
+        for problem in filter(None, problems):
+            _log.warning(str(problem))
         if not any(device.enabled for device in loaded.devices):
             _log.warning("no device is enabled in the settings; nothing will be streamed")
         agent = Agent(loaded, folder, read)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.refusal import Refusal
 from biosensor_common.terminal import columns, shortened, wrapped
 from biosensor_gateway.agent.device_states import STATE_WORDS
@@ -97,6 +98,23 @@ def menu(question: str, choices: Sequence[str]) -> int:
     return ask(
         "Type a number, then Enter [1]:", lambda text: _number(text or "1", len(choices)) - 1
     )
+
+
+def confirm_while_recording(sentence: str, choices: Sequence[str], *, may_ask: bool = True) -> None:
+    """Ask a person to confirm, by the second choice, that a running recording loses something.
+
+    Raises
+    ------
+    ConfigError
+        ``IN_USE`` if there is nobody to ask.
+    typer.Exit
+        With code 2 if the person declines.
+    """
+    if not (may_ask and can_ask()):
+        message = f"{sentence}; end it first, or confirm that with --while-recording"
+        raise ConfigError(ConfigReason.IN_USE, message)
+    if menu(f"{sentence[0].upper()}{sentence[1:]}.", choices) == 0:
+        raise typer.Exit(2)
 
 
 def several(choices: Sequence[str], prompt: str, if_empty: Sequence[int]) -> list[int]:

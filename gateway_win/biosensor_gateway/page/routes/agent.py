@@ -51,15 +51,13 @@ def add_agent(router: APIRouter, session: Session) -> None:
         if not any(each.enabled for each in session.configured()):
             message = "there is no device in the settings yet; add one first"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
-        lost = lost_by_start(session.configured(), session.folder)
-        if lost and not change.while_recording:
-            again = Choice(words="Start without it", more={"while_recording": True})
-            raise QuestionError("A recording goes on", f"{lost[0].upper()}{lost[1:]}.", [again])
+        _ask_first(session, session.configured(), change)
         return started(session, virtual=False)
 
     @router.post("/agent/try")
-    async def start_virtual() -> Outcome:
+    async def start_virtual(change: SettingsChange | None = None) -> Outcome:
         """Start the agent with virtual devices of every kind."""
+        _ask_first(session, (), change or SettingsChange())
         return started(session, virtual=True)
 
     @router.post("/agent/stop")
@@ -67,6 +65,14 @@ def add_agent(router: APIRouter, session: Session) -> None:
         """End the agent; every stream ends with it."""
         await asked(session, "stop", {})
         return Outcome(sentence="The agent has been asked to end.")
+
+
+def _ask_first(session: Session, devices: Sequence[DeviceSettings], change: SettingsChange) -> None:
+    """Ask before a start with these devices by which a running recording loses sensors."""
+    lost = lost_by_start(devices, session.folder)
+    if lost and not change.while_recording:
+        again = Choice(words="Start without it", more={"while_recording": True})
+        raise QuestionError("A recording goes on", f"{lost[0].upper()}{lost[1:]}.", [again])
 
 
 _LOOK_S = 0.2

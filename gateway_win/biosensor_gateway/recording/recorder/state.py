@@ -292,6 +292,6 @@ def lost_by_start(devices: Iterable[DeviceSettings], state: Path) -> str:
         return ""
     sensors = listed(list(dict.fromkeys(each.rpartition("-")[0] for each in lost)))
     return (
-        f"a recording goes on, to {saved.file}, and the settings no longer have {sensors}, with "
+        f"a recording goes on, to {saved.file}, and the agent would no longer have {sensors}, with "
         "which it began: nothing more of it is recorded"
     )
