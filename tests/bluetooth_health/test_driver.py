@@ -17,7 +17,7 @@ from biosensor_common import plausible
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.devices.bluetooth_health import SPEC
-from biosensor_gateway.devices.bluetooth_health.driver import recognise
+from biosensor_gateway.devices.bluetooth_health.driver import HealthEmitter, recognise
 from biosensor_gateway.devices.bluetooth_health.driver.services import (
     ROWS,
     SPOT_CHECK,
@@ -31,6 +31,7 @@ from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.nearby import Advertisement
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
+from tests.rigs.emitter_sink import EmitterSink
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
 
@@ -228,6 +229,24 @@ def test_a_long_stop_is_as_long_as_it_was() -> None:
         assert wheel.rate(12, 1024, float(second)) in (0.0, pytest.approx(math.nan, nan_ok=True))
     ticks = round(1024 * 66.5) % 65536
     assert wheel.rate(13, ticks, 67.6) == pytest.approx(1 / 65.5)
+
+
+@pytest.mark.parametrize(
+    ("stream", "value", "lacking"),
+    [
+        ("spo2", struct.pack("<BHH", 0, 97, 72), ["PAI"]),
+        ("spo2", struct.pack("<BHHH", 16, 97, 72, 3), []),
+        ("cycling", struct.pack("<BLH", 1, 7, 512), ["cadence"]),
+        ("cycling", struct.pack("<BHH", 2, 7, 512), ["speed"]),
+    ],
+)
+def test_fields_that_a_device_does_not_have_are_not_missing(
+    stream: str, value: bytes, lacking: list[str]
+) -> None:
+    sink = EmitterSink("bluetooth_health")
+    row = next(row for row in ROWS if row.stream == stream)
+    HealthEmitter(sink, 2.1).take(row, value, 1.0)
+    assert sink.lacking[stream] == lacking
 
 
 @pytest.mark.parametrize(

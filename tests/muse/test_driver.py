@@ -16,6 +16,7 @@ import pytest
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.captures.file import Event
 from biosensor_gateway.captures.redaction import Redaction
+from biosensor_gateway.devices.muse import LIGHT_LABELS
 from biosensor_gateway.devices.muse.driver import (
     ATHENA_PRESETS,
     CLASSIC_PRESETS,
@@ -96,6 +97,9 @@ async def test_light_has_the_channels_of_the_settings(
     filled = ~np.isnan(np.array(run.sink.rows["optics"] or [[]])).all(axis=0)
     assert filled.sum() == columns
     assert bool(run.sink.rows["aux"]) == aux
+    if optics:
+        empty = [LIGHT_LABELS[each] for each in np.flatnonzero(~filled)]
+        assert run.sink.lacking["optics"] == empty
 
 
 @CLASSIC

@@ -57,9 +57,12 @@ async def test_with_intervals_the_heart_rate_comes_every_five_seconds(sensor: Ma
     async with streaming(verity) as run:
         await until(run.sink.has(4, "hr"))
     assert np.median(np.diff(run.sink.times["hr"])) == pytest.approx(5.0, abs=0.1)
+    assert not run.sink.lacking["quality"]
     async with streaming(verity, ppi=False) as run:
         await until(run.sink.has(6, "hr"))
         assert run.sink.rows["ppi"] == []
+    assert np.isnan(run.sink.array("quality")[:, 1]).all()
+    assert run.sink.lacking["quality"] == ["moving"]
     assert np.median(np.diff(run.sink.times["hr"])) == pytest.approx(1.0, abs=0.1)
 
 
@@ -148,6 +151,8 @@ async def test_a_360_has_two_diodes(sensor: MakeSensor) -> None:
         assert (run.sink.rates["ppg"], run.sink.rates["acc"]) == (22, 50)
     light = run.sink.array("ppg")
     assert np.isnan(light[:, 2:]).all()
+    # What it does not have is told, so that a recording is not said to lack it.
+    assert run.sink.lacking["ppg"] == ("LED3", "ambient")
     assert_once_and_in_order(light[:, :2].tolist(), device.truth.samples("ppg").values)
 
 

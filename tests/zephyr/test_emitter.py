@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from biosensor_common.refusal import Refusal
+from biosensor_gateway.devices.zephyr import SPEC
 from biosensor_gateway.devices.zephyr.driver.emitter import (
     BeatDetector,
     PacketTrack,
@@ -219,6 +220,8 @@ def test_general_data_fill_what_they_hold(
     np.testing.assert_array_equal(
         sink.emitted.pop("quality"), [[float(worn), NAN, float(low), NAN, NAN, NAN]]
     )
+    labels = [channel.label for channel in SPEC.stream("quality").channels]
+    assert [*sink.lacking["quality"]] == [labels[each] for each in (1, 3, 4, 5)]
     assert sink.emitted == {
         "hr": [[71]], "br": [[15.4]], "posture": [[11]], "activity": [[0.35]],
         "st": [[33.1]], "bat": [[57]],

@@ -32,8 +32,8 @@ class Sink(Protocol):
     dropped_bytes: int  # Bytes without a valid message; drivers add to it.
     # Returns how long packets may recently have waited for this computer, in seconds.
     own_delay: Callable[[], float]
-    # Labels of channels that this model of the device does not have, by data name: their values are
-    # NaN, and nothing of them is missing.
+    # Labels of channels that this device does not send, by data name: their values are NaN, and
+    # nothing of them is missing.
     lacking: dict[str, Sequence[str]]
 
     @property

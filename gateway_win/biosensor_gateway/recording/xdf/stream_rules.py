@@ -323,7 +323,7 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     ]
     lacking = measured.counters.lacking if measured.counters is not None else ()
     if off := ", ".join(label for label, _ in empty if label in lacking):
-        yield Level.NOTE, "off", f"this model of the device has no {off}"
+        yield Level.NOTE, "off", f"this device does not send {off}"
         empty = [each for each in empty if each[0] not in lacking]
     window_s = header.window_s
     if window_s is not None:

@@ -75,6 +75,9 @@ class HealthEmitter:
             self._sink.dropped_bytes += len(data)
             return
         self._sink.heard(row.stream)
+        self._sink.lacking[row.stream] = [
+            label for label, field in row.optional if field not in found
+        ]
         sample = self._samples[row.characteristic](found, arrival_s)
         contact = row.contact(found) if row.contact is not None else None
         if sample is not None and contact is not False:

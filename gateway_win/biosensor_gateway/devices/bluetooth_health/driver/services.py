@@ -187,6 +187,8 @@ class Row(NamedTuple):
     # Returns from the fields whether it is worn; None if unknown.
     contact: Callable[[Values], bool | None] | None = None
     due_s: float = 0.0  # Maximum gap while connected; 0 if it is only sent during a measurement.
+    # Labels of channels with the field of each that a device may not have.
+    optional: tuple[tuple[str, str], ...] = ()
 
     def parse(self, data: bytes) -> Values | None:
         """Parse a value; None if it is truncated."""
@@ -270,11 +272,12 @@ _OFTEN_S = 10.0
 
 ROWS = (
     Row("pulse oximeter", _uuid(0x1822), _uuid(0x2A5F), 1, _OXIMETER, "spo2",
-        _plain("SpO2", "pulse", "PAI"), _worn, _OFTEN_S),
+        _plain("SpO2", "pulse", "PAI"), _worn, _OFTEN_S, optional=(("PAI", "PAI"),)),
     Row("thermometer", _uuid(0x1809), _uuid(0x2A1C), 1, _THERMOMETER, "temp",
         _thermal),
     Row("foot pod", _uuid(0x1814), _uuid(0x2A53), 1, _FOOT_POD, "running",
         _plain("speed", "cadence")),
-    Row("bicycle sensor", _uuid(0x1816), _uuid(0x2A5B), 1, _TURNS, "cycling", _turning),
+    Row("bicycle sensor", _uuid(0x1816), _uuid(0x2A5B), 1, _TURNS, "cycling", _turning,
+        optional=(("speed", "wheel_turns"), ("cadence", "crank_turns"))),
     Row("power meter", _uuid(0x1818), _uuid(0x2A63), 2, _POWER, "power", _plain("power")),
 )  # fmt: skip

@@ -52,7 +52,8 @@ from biosensor_gateway.transports.ble import Notification
 _ELECTRODES = {uuid: channel for channel, uuid in enumerate((*EEG, AUX))}
 _DIODES = {uuid: channel for channel, uuid in enumerate(PPG)}
 _AXES = {ACC: ("acc", ACC_G), GYRO: ("gyro", GYRO_DPS)}
-_INPUTS = len(SPEC.stream("aux").channels)
+_AUX_LABELS = tuple(channel.label for channel in SPEC.stream("aux").channels)
+_INPUTS = len(_AUX_LABELS)
 PATIENCE = 20
 """A channel missing this often in a row, for a second of EEG, is assumed not to be sent by the
 device. Of one that is, the next packet comes too late for its rows."""
@@ -224,6 +225,7 @@ class ClassicEmitter:
             if self._has_aux:
                 inputs = np.full((len(samples), _INPUTS), np.nan)
                 inputs[:, 0] = samples[:, len(EEG)]
+                self._sink.lacking["aux"] = _AUX_LABELS[1:]
                 streams["aux"] = inputs
             self._emit(self._eeg, number, streams, newest_s)
         self._report_late(self._electrodes)
@@ -262,8 +264,8 @@ AGREE_S = 0.4
 """Tolerance for detecting a restarted clock with the first frame of a connection."""
 TURNED_BACK_S = 0.2
 """A frame has blocks of up to 150 ms, and its newest may be older than the previous frame's."""
-# With four light channels, these are the ones between the eyes.
-_INNER = slice(4, 8)
+# Four light channels are the ones between the eyes.
+_LIGHTS = {Kind.LIGHT4: slice(4, 8), Kind.LIGHT8: slice(0, 8), Kind.LIGHT16: slice(0, 16)}
 _CHARGE_PERCENT = (1 / 256, 1 / 512)
 _SAMPLES = {
     Kind.EEG4: (4, EEG_HZ),
@@ -358,6 +360,9 @@ class AthenaEmitter:
         times = kind.place([(block.number, block.stamp_s) for block in blocks], names)
         for name in names:
             self._sink.emit(name, streams[name], times)
+        if "optics" in names:
+            sent = LIGHT_LABELS[_LIGHTS[blocks[0].kind]]
+            self._sink.lacking["optics"] = [each for each in LIGHT_LABELS if each not in sent]
 
     def _emit_charge(self, block: Block) -> None:
         """Emit the charge, in the unit that matches the status at the connection."""
@@ -389,8 +394,7 @@ def _streams(blocks: Sequence[Block]) -> dict[str, Floats]:
         return {"eeg": samples[:, : len(EEG)], **inputs}
     samples = frames.light(blocks)
     rows = np.full((len(samples), len(LIGHT_LABELS)), np.nan)
-    columns = _INNER if kind is Kind.LIGHT4 else slice(0, samples.shape[1])
-    rows[:, columns] = samples
+    rows[:, _LIGHTS[kind]] = samples
     return {"optics": rows}
 
 

@@ -29,7 +29,13 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     start,
     stop,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.frames import PulseInterval, PulseIntervals
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
+    Ppg,
+    PulseInterval,
+    PulseIntervals,
+    RegularFrame,
+)
+from biosensor_gateway.devices.polar_verity_sense import SPEC
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.device_log import DeviceLog
@@ -59,6 +65,7 @@ GATHER_S = 0.3
 _NS = 1e9
 # Timestamp of intervals without a time.
 _NOT_LOCATED = 0
+_LIGHTS = tuple(channel.label for channel in SPEC.stream("ppg").channels)
 
 
 class PolarVeritySenseSettings(DeviceSettings):
@@ -301,9 +308,17 @@ class OpticalEmitter(PolarEmitter):
             self._end_batch()
         super().frame(data, arrival_s)
 
+    def _regular(self, frame: RegularFrame, arrival_s: float) -> None:
+        super()._regular(frame, arrival_s)
+        if isinstance(frame, Ppg) and frame.counts:
+            self._sink.lacking["ppg"] = _LIGHTS[len(frame.counts[0]) :]
+
     def _quality(self, in_contact: bool) -> Sequence[float]:
         # A heart rate arrives after all frames of a batch.
         self._end_batch()
+        # Movement is reported with the intervals, which the settings may switch off.
+        has_intervals = Measurement.PULSE_INTERVALS in self._running
+        self._sink.lacking["quality"] = [] if has_intervals else ["moving"]
         return [float(in_contact), self._moving]
 
     def _intervals(self, frame: PulseIntervals, arrival_s: float) -> None:

@@ -173,6 +173,8 @@ class BeatDetector:
 _WAVEFORMS = {MessageId.ECG: "ecg", MessageId.BREATHING: "breathing"}
 _VITALS_PERIOD_S = 1.0
 _NAN = math.nan
+_OF_SUMMARIES = ("hr_confidence", "br_unreliable", "hrv_unreliable", "link_quality")
+"""Channels of ``quality`` of which a general data packet says nothing."""
 
 
 class ZephyrEmitter:
@@ -281,6 +283,7 @@ class ZephyrEmitter:
 
     def _summary(self, message: Summary, arrival_s: float) -> None:
         numbers, flags = message.numbers, message.status.flags
+        self._sink.lacking["quality"] = ()
         self._quality = [
             float(message.status.worn),
             _number(numbers["heart_rate_confidence"]),
@@ -306,6 +309,7 @@ class ZephyrEmitter:
         numbers = message.numbers
         unreliable = float(message.hr_signal_low)
         self._quality = [float(message.worn), _NAN, unreliable, _NAN, _NAN, _NAN]
+        self._sink.lacking["quality"] = _OF_SUMMARIES
         values = {
             "hr": _rate(numbers["heart_rate_bpm"]),
             "br": _rate(numbers["respiration_rate_bpm"]),
