@@ -411,6 +411,9 @@ class Refusals:
 
     def within(self, lately_s: float) -> list[Refused]:
         """Return lasting reports and those of this many seconds, the most severe first."""
+        # Asked for each stream once a second, and most have none.
+        if not self._told:
+            return []
         now = self._clock()
         shown = [
             each

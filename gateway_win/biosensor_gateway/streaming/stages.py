@@ -258,11 +258,19 @@ class _Constant:
     def note(self, rows: NDArray[np.float64], first_s: float, last_s: float, to: Refusals) -> None:
         """Process a block of samples, shape [samples, channels], with its first and last stamp."""
         # NaN, which is no value, is passed over.
-        low, high = np.fmin.reduce(rows), np.fmax.reduce(rows)
+        if len(rows) == 1:
+            low = high = rows[0].copy()
+        else:
+            low, high = np.fmin.reduce(rows), np.fmax.reduce(rows)
         is_same = (np.isnan(low) | ((low == high) & (low == self._values))) & (
             first_s - self._newest_s < self._limit_s / _PARTS
         )
         self._newest_s = last_s
+        if not self._told and not is_same.any():
+            # As in nearly every block.
+            self._since_s.fill(last_s)
+            self._values = np.where(low == high, low, np.nan)
+            return  # nothing is dropped: all is well
         self._since_s = np.where(is_same, self._since_s, last_s)
         self._values = np.where(is_same, self._values, np.where(low == high, low, np.nan))
         flat = ~self._may_rest & (last_s - self._since_s >= self._limit_s)
