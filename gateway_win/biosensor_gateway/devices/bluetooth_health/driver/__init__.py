@@ -75,6 +75,7 @@ class HealthEmitter:
             self._sink.dropped_bytes += len(data)
             return
         self._sink.heard(row.stream)
+        # nothing is dropped: these are labels
         self._sink.lacking[row.stream] = [
             label for label, field in row.optional if field not in found
         ]
