@@ -63,7 +63,7 @@ class DeviceSink:
         self.charge = Charge(spec)  # State of its battery, as far as it is known.
         # Returns how long packets may recently have waited for this computer, in seconds.
         self.own_delay: Callable[[], float] = lambda: 0.0
-        # Labels of channels that this model of the device does not have, by data name: their values
+        # Labels of channels that this device does not send, by data name: their values
         # are NaN, and nothing of them is missing.
         self.lacking: dict[str, Sequence[str]] = {}
         self._clock = DeviceClock()
