@@ -243,6 +243,10 @@ def test_an_ecg_is_cut_at_its_gaps(exported: Exporting) -> None:
     (rate,) = [each for each in written.notes if "tell Kubios" in each]
     assert "130 Hz" in rate
     assert "microvolts" in rate
+    assert (
+        "P1-polar_h10-U1-ecg: P1-polar_h10-U1-ecg_run1.txt begins at 0.000 s, "
+        "P1-polar_h10-U1-ecg_run2.txt begins at 15.000 s"
+    ) in written.notes
 
 
 def test_missing_beats_are_said(exported: Exporting) -> None:

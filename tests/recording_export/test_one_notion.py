@@ -185,6 +185,12 @@ def test_all_agree(shape: str, exported: Exporting) -> None:
         assert len(files) == sum(runs)
         kubios = _of(outcome, "kubios")
         assert kubios is not None
+        of_csv, of_kubios = (each.path / "all_markers.csv" for each in (table, kubios))
+        assert of_kubios.exists() == (shape != "no marker")
+        if shape != "no marker":
+            assert of_kubios.read_bytes() == of_csv.read_bytes()
+            heads, *happened = csv.reader(of_kubios.read_text().splitlines())
+            assert [row[heads.index("marker")] for row in happened] == expected
         texts_of_kubios = sorted(kubios.path.glob("ecg*.txt"))
         assert [each.stem for each in texts_of_kubios] == [each.stem for each in files]
         # The samples of each stream, in their order, and none twice.
@@ -361,8 +367,11 @@ def test_markers_outside_of_samples_are_in_the_file_before(exported: Exporting) 
     assert _annotated(folder / "skin_run2.bdf") == [(1.0, "in 2"), (20.0, "after")]
     (note,) = _notes(outcome, "edf")
     assert note.startswith("skin: 4 of the markers came outside its samples")
-    left_out, late = _notes(outcome, "ledalab")
-    assert left_out.startswith("skin: 3 of the markers came before its first or after its last")
+    outside, late = _notes(outcome, "ledalab")
+    assert outside.startswith("skin: 3 of the markers came before its first or after its last")
+    assert outside.endswith("only all_markers.csv has them")
+    rows = (_folder(outcome, "ledalab") / "all_markers.csv").read_text().splitlines()[1:]
+    assert [row[2] for row in csv.reader(rows)] == list(told.values())
     assert late.startswith("skin: 1 of the markers fell where samples are missing")
 
 
@@ -370,6 +379,7 @@ def test_a_marker_that_is_cut_off_is_said(exported: Exporting) -> None:
     texts = {1.0: "x" * 256, 2.0: "y" * 257}
     content = made.xdf(_skin((0, 10)), _markers(2, "Markers", "string", texts))
     outcome = exported(content, "edf")
+    assert not outcome.is_whole
     whole, cut = (text for _, text in _annotated(_folder(outcome, "edf") / "skin.bdf"))
     assert whole == texts[1.0]
     assert texts[2.0].startswith(cut.removesuffix("..."))

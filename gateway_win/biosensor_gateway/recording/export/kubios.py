@@ -21,8 +21,10 @@ from biosensor_gateway.recording.export.exporter import (
     Missing,
     Progress,
     SampleCount,
+    timeline,
     with_reasons,
 )
+from biosensor_gateway.recording.export.marker_events import marker_streams, write_marker_table
 from biosensor_gateway.recording.export.readme import README, write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
@@ -33,7 +35,7 @@ from biosensor_gateway.recording.export.runs import (
     longest_gap_s,
     stretches,
 )
-from biosensor_gateway.recording.export.tables import FileNames, numbers, quoted
+from biosensor_gateway.recording.export.tables import MARKERS, FileNames, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}
@@ -43,16 +45,19 @@ _GAPS = "_gaps.csv"
 _MOST_NAMED = 3
 
 
-_MEANS = """\
+_MEANS = f"""\
 Each file is a text with one number per line, for Kubios HRV: intervals between heart beats,
 or an ECG, whose rate Kubios asks for.
 
 Intervals have no times of their own: missing beats cannot be seen in them.
+
+{MARKERS}: what happened, with seconds since the start of the recording, because Kubios's own
+files hold no markers. Its seconds minus those at which a file begins are the seconds in Kubios.
 """
 
 
 class Kubios:
-    """Writes a file for each stream of beat intervals and for each run of an ECG."""
+    """Writes a file for each stream of beat intervals and for each run of an ECG, and markers."""
 
     suffix = "_kubios"
 
@@ -63,12 +68,13 @@ class Kubios:
         target.mkdir()
         count = SampleCount(chosen, progress)
         notes: list[str] = []
-        names, files = FileNames([Path(README).stem]), dict[int, list[str]]()
+        reserved = [Path(README).stem, Path(MARKERS).stem]
+        names, files = FileNames(reserved), dict[int, list[str]]()
         for stream in chosen.streams:
             if _is_of(stream, ContentType.RR):
                 (name,) = names.of(stream)
                 path = target / f"{name}.txt"
-                notes += _write_intervals(chosen, stream, path)
+                notes += _write_intervals(chosen, options, stream, path)
                 files |= {stream.number: [path.name]} if path.exists() else {}
             elif _is_of(stream, ContentType.ECG) and stream.header.is_regular:
                 made = _write_ecg(chosen, options, stream, target, names, notes)
@@ -80,6 +86,8 @@ class Kubios:
                 "selection, so nothing was written for Kubios"
             )
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
+        if marker_streams(chosen):
+            write_marker_table(chosen, options, target / MARKERS)
         write_readme(target, chosen, options, _MEANS, files, notes)
         return notes
 
@@ -89,12 +97,19 @@ def _is_of(stream: Stream, kind: ContentType) -> bool:
     return header.content_type == kind and header.format is not ChannelFormat.STRING
 
 
-def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str]:
+def _begins(chosen: Chosen, options: ExportOptions, path: Path, time_s: float) -> str:
+    since_s = float(timeline(chosen, options.clock).since_zero(np.array([time_s]))[0])
+    return f"{path.name} begins at {since_s:.3f} s"
+
+
+def _write_intervals(
+    chosen: Chosen, options: ExportOptions, stream: Stream, path: Path
+) -> Iterator[str]:
     name, unit = stream.header.title, stream.meaning.units[0]
     if unit not in _IN_SECONDS:
         yield Missing(f"{name}: left out, because its unit is {unit!r}, neither s nor ms")
         return
-    left_out, missing_s, last_s = 0, 0.0, None
+    left_out, missing_s, begin_s, last_s = 0, 0.0, 0.0, None
     with path.open("xb") as file:
         for samples in batches(chosen, stream):
             intervals = np.asarray(samples.values)[:, 0]
@@ -104,6 +119,9 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
             if not len(times):
                 continue
             file.writelines(each + b"\n" for each in numbers(intervals))
+            if last_s is None:
+                # An interval has the time of the beat that ends it.
+                begin_s = float(times[0]) - float(intervals[0]) * _IN_SECONDS[Unit(unit)]
             steps = np.diff(times, prepend=times[0] if last_s is None else last_s)
             holes = steps - intervals * _IN_SECONDS[Unit(unit)]
             missing_s += float(holes[holes > _HOLE_S].sum())
@@ -112,6 +130,7 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
         path.unlink()
         yield f"{name}: left out, because it has no intervals"
         return
+    yield f"{name}: {_begins(chosen, options, path, begin_s)}"
     if left_out:
         yield f"{name}: {left_out} samples are not intervals and are left out"
     if missing_s:
@@ -153,6 +172,11 @@ def _write_ecg(
     told = ", ".join(f"{rate:.6g}" for rate in dict.fromkeys(rates[:3]))
     more = ", ..." if len(rates) > 3 else ""
     notes.append(f"{name}: tell Kubios its rate, {told}{more} Hz, and its unit, {_unit(stream)}")
+    begun = [
+        _begins(chosen, options, path, each.begin_s)
+        for path, each in zip(files, every, strict=True)
+    ]
+    notes.append(f"{name}: {', '.join(begun[:_MOST_NAMED])}{', ...' * (len(begun) > _MOST_NAMED)}")
     if without:
         notes.append(f"{name}: {without} samples have no value and are NaN")
     notes += [f"{name}: {each}" for each in cut.remarks(every, "NaN stands")]

@@ -25,7 +25,7 @@ from biosensor_gateway.recording.export.exporter import (
     on_clock,
     with_reasons,
 )
-from biosensor_gateway.recording.export.marker_events import markers
+from biosensor_gateway.recording.export.marker_events import markers, write_marker_table
 from biosensor_gateway.recording.export.readme import README, write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
@@ -35,7 +35,7 @@ from biosensor_gateway.recording.export.runs import (
     on_line,
     section,
 )
-from biosensor_gateway.recording.export.tables import file_names, numbers, quoted
+from biosensor_gateway.recording.export.tables import MARKERS, file_names, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
 
@@ -56,11 +56,13 @@ Each file is a text for Ledalab, which imports it as three columns: time in s, s
 conductance in microsiemens, and the number of the marker that fell on that sample, or 0.
 
 {CODES}: what the numbers of markers mean.
+
+{MARKERS}: all markers with their times, also those that fell on no sample of a file.
 """
 
 
 class Ledalab:
-    """Writes a file for each skin conductance stream, and ``markers.csv``."""
+    """Writes a file for each skin conductance stream, ``markers.csv`` and a table of markers."""
 
     suffix = "_ledalab"
 
@@ -73,7 +75,7 @@ class Ledalab:
         happened, codes = _numbered(chosen)
         notes: list[str] = []
         files: dict[int, list[str]] = {}
-        names = file_names(chosen.streams, [Path(README).stem])
+        names = file_names(chosen.streams, [Path(README).stem, Path(MARKERS).stem])
         for stream, name in zip(chosen.streams, names, strict=True):
             if _is_conductance(stream):
                 path = target / f"{name}.txt"
@@ -89,6 +91,8 @@ class Ledalab:
         if codes:
             lines = quoted([("code", "marker"), *((code, text) for text, code in codes.items())])
             (target / CODES).write_bytes(lines)
+        if len(happened):
+            write_marker_table(chosen, options, target / MARKERS)
         write_readme(target, chosen, options, _MEANS, files, notes)
         return notes
 
@@ -208,8 +212,8 @@ class _Told:
             yield f"{self.without} samples have no value and are left out"
         if outside := markers - self.inside:
             yield (
-                f"{outside} of the markers came before its first or after its last sample, and "
-                "are left out"
+                f"{outside} of the markers came before its first or after its last sample: only "
+                f"{MARKERS} has them"
             )
         if self.late:
             yield (
@@ -218,7 +222,8 @@ class _Told:
             )
         if self.together:
             yield (
-                f"{self.together} markers fall on a sample that already has one, and are left out"
+                f"{self.together} markers fall on a sample that already has one: only {MARKERS} "
+                "has them"
             )
 
 

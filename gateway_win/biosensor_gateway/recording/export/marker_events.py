@@ -6,17 +6,19 @@ import heapq
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.plausible import finite
-from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.choice import Chosen, merged
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import EVENTS
-from biosensor_gateway.recording.export.exporter import Timeline
+from biosensor_gateway.recording.export.exporter import ExportOptions, Timeline, timeline
 from biosensor_gateway.recording.export.runs import BAD_GAP, Gap
+from biosensor_gateway.recording.export.tables import SECONDS, quoted, time_column
 
 MARKERS = "markers"
 """Data name of the agent's own markers."""
@@ -157,6 +159,36 @@ def _content(text: str) -> Mapping[str, Any]:
 
 def _whole(value: object) -> int | None:
     return value if isinstance(value, int) else None
+
+
+def write_marker_table(
+    chosen: Chosen, options: ExportOptions, path: Path, gaps: Iterable[tuple[Stream, Gap]] = ()
+) -> None:
+    """Write a new CSV table with all events of all marker streams, and with gaps.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    line = timeline(chosen, options.clock)
+    streams = [each for each in chosen.streams if each.header.is_markers and not is_left_out(each)]
+
+    def all_of_them() -> Iterator[tuple[Stream, MarkerEvent]]:
+        for stream, samples in merged(streams, chosen.begin_s, chosen.end_s):
+            for each in marker_events(stream, samples, line):
+                yield stream, each
+
+    with path.open("xb") as file:
+        heads = [SECONDS, time_column(options.clock)]
+        heads += ["marker", "note", "undone", "participant", "stream"]
+        file.write(quoted([heads]))
+        missing = ((stream, gap_event(stream, gap, line)) for stream, gap in gaps)
+        for stream, each in in_order(all_of_them(), missing):
+            told = (each.name or each.text, each.note, "yes" if each.undone else "no")
+            times = (round(each.onset_s, 6), line.begin_s + each.onset_s)
+            row = (*times, *told, each.participant, stream.header.title)
+            file.write(quoted([row]))
 
 
 def in_order(

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.contents.choice import Chosen, merged
+from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.exporter import (
@@ -26,14 +26,7 @@ from biosensor_gateway.recording.export.exporter import (
     timeline,
 )
 from biosensor_gateway.recording.export.grid import Grid, write_rows
-from biosensor_gateway.recording.export.marker_events import (
-    MarkerEvent,
-    gap_event,
-    in_order,
-    is_left_out,
-    marker_events,
-    markers,
-)
+from biosensor_gateway.recording.export.marker_events import markers, write_marker_table
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
@@ -128,7 +121,8 @@ class WideCsv:
         }
         text = json.dumps(content, indent=2, ensure_ascii=False)
         (target / CONTENTS).write_text(text + "\n", "utf-8", newline="\n")
-        _write_markers(chosen, options, even, target / MARKERS)
+        gaps = [(stream, gap) for stream, runs in even for gap in runs.gaps()]
+        write_marker_table(chosen, options, target / MARKERS, gaps)
         notes: list[str] = []
         if options.is_wide:
             notes += write_by_rate(chosen, options, names, target, is_packed=self._is_packed)
@@ -168,31 +162,6 @@ def _told(runs: Runs) -> Iterator[str]:
     if gaps := runs.gaps():
         text = gap_text([each.lost for each in gaps])
         yield f"{text}, each an event {BAD_GAP} in {MARKERS}; there is no row"
-
-
-def _write_markers(
-    chosen: Chosen, options: ExportOptions, even: Sequence[tuple[Stream, Runs]], path: Path
-) -> None:
-    line = timeline(chosen, options.clock)
-    streams = [each for each in chosen.streams if each.header.is_markers and not is_left_out(each)]
-
-    def all_of_them() -> Iterator[tuple[Stream, MarkerEvent]]:
-        for stream, samples in merged(streams, chosen.begin_s, chosen.end_s):
-            for each in marker_events(stream, samples, line):
-                yield stream, each
-
-    with path.open("xb") as file:
-        heads = ["seconds", tables.time_column(options.clock)]
-        heads += ["marker", "note", "undone", "participant", "stream"]
-        file.write(tables.quoted([heads]))
-        gaps = (
-            (stream, gap_event(stream, gap, line)) for stream, runs in even for gap in runs.gaps()
-        )
-        for stream, each in in_order(all_of_them(), gaps):
-            told = (each.name or each.text, each.note, "yes" if each.undone else "no")
-            times = (round(each.onset_s, 6), line.begin_s + each.onset_s)
-            row = (*times, *told, each.participant, stream.header.title)
-            file.write(tables.quoted([row]))
 
 
 def _rows(chosen: Chosen, clock: Clock, line: Timeline, samples: Samples) -> bytes:

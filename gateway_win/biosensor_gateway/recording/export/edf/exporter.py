@@ -122,7 +122,8 @@ class Edf:
             raise RecordingError(RecordingReason.EMPTY, with_reasons(message, job.notes))
         if cut := sum(len(text) > MOST_CHARACTERS for _, text in happened):
             texts = "1 marker is" if cut == 1 else f"{cut} markers are"
-            job.notes.append(f"{texts} cut off after {MOST_CHARACTERS} characters; csv has all")
+            told = f"{texts} cut off after {MOST_CHARACTERS} characters; csv has all"
+            job.notes.append(Missing(told))
         write_readme(target, chosen, options, _MEANS, job.files, job.notes)
         return job.notes
 
@@ -166,14 +167,16 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
         job.files.setdefault(stream.number, []).append(path.name)
     if left_out:
         labels = ", ".join(sorted(left_out))
-        job.notes.append(f"{name}: without {labels}, whose values are beyond what EDF can hold")
+        told = f"{name}: without {labels}, whose values are beyond what EDF can hold"
+        job.notes.append(Missing(told))
 
 
 def _has_rate(job: _Job, stream: Stream, stretch: Stretch) -> bool:
     """Whether EDF supports the rate of a file."""
     if RATES_HZ[0] <= stretch.rate_hz <= RATES_HZ[1]:
         return True
-    job.notes.append(f"{stream.header.title}: a run of {stretch.rate_hz:g} Hz left out")
+    told = f"{stream.header.title}: a run of {stretch.rate_hz:g} Hz is left out, beyond EDF's rates"
+    job.notes.append(Missing(told))
     return False
 
 
