@@ -59,22 +59,22 @@ class Finding:
 
 
 def ok(what: str) -> Finding:
-    """Return a finding of something that is right."""
+    """Return a finding that something is right."""
     return Finding(Level.OK, what)
 
 
 def note(what: str, why: str, fix: str) -> Finding:
-    """Return a finding that is good to know."""
+    """Return a finding that is useful to know but not a problem."""
     return Finding(Level.NOTE, what, why, fix)
 
 
 def warning(what: str, why: str, fix: str) -> Finding:
-    """Return a finding of something that will fail in a named case."""
+    """Return a finding that something will fail in a named case."""
     return Finding(Level.WARNING, what, why, fix)
 
 
 def error(what: str, why: str, fix: str) -> Finding:
-    """Return a finding of something that does not work."""
+    """Return a finding that something does not work."""
     return Finding(Level.ERROR, what, why, fix)
 
 

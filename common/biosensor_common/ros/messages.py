@@ -235,7 +235,7 @@ class AgentSays(NamedTuple):
 
 
 def said_of_streams(text: str) -> dict[str, AgentSays]:
-    """Return what one sample of the agent's counters stream says, by source_id.
+    """Return the contents of one sample of the agent's counters stream, by source_id.
 
     Raises
     ------

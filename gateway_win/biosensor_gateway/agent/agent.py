@@ -103,7 +103,7 @@ def problems_of(
 ) -> dict[str, list[Problem]]:
     """Return what is wrong with the data of each device, for heartbeats.
 
-    What is of no device is under `AGENT`, and of a paused device nothing is told.
+    Problems of no single device are under `AGENT`; those of a paused device are left out.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def problems_of(
     features
         Refusals that programs with live features report.
     lately_s
-        For how many seconds that is told which does not last.
+        Seconds for which a momentary problem is reported.
     """
     found = {name: device.problems(lately_s) for name, device in devices.items()}
     found[AGENT] = [problem(each) for each in own.within(lately_s)]

@@ -144,12 +144,12 @@ class Device:
     def problems(self, lately_s: float = LATELY_S) -> list[Problem]:
         """Return the problems of its data, as reported in heartbeats.
 
-        Of a paused device nothing is told.
+        Nothing is reported about a paused device.
 
         Parameters
         ----------
         lately_s
-            For how long that is told which does not last.
+            How long a momentary problem is reported.
         """
         supervisor = self.supervisor
         if self.sink.is_paused:

@@ -1,7 +1,7 @@
 """Sends the devices' samples to programs on this computer that show them.
 
 The feed takes samples from the agent's memory: one more LSL inlet on each stream would double what
-the agent sends. A slow reader loses frames, and delays nobody else.
+the agent sends. A slow reader loses frames, but does not delay others.
 """
 
 from __future__ import annotations

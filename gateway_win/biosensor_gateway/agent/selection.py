@@ -18,7 +18,7 @@ def device_name(identity: DeviceIdentity) -> str:
 
 
 def unique_names(devices: Sequence[DeviceIdentity]) -> list[str]:
-    """Return each device's ``sensor/unit``, or what `described` returns where several have it."""
+    """Return each device's ``sensor/unit``; if several share it, the longer name of `described`."""
     counts = Counter(map(device_name, devices))
     return [
         described(each) if counts[device_name(each)] > 1 else device_name(each) for each in devices
@@ -26,9 +26,9 @@ def unique_names(devices: Sequence[DeviceIdentity]) -> list[str]:
 
 
 def holders(name: str, devices: Iterable[DeviceIdentity]) -> tuple[DeviceIdentity, ...]:
-    """Return the devices that one of `unique_names` stands for.
+    """Return the devices with a name from `unique_names`.
 
-    They are several if the program that wrote it did not distinguish them.
+    There are several if the program that wrote the name did not distinguish them.
     """
     known = tuple(devices)
     exact = tuple(each for each in known if described(each) == name)
@@ -41,7 +41,7 @@ def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
     Parameters
     ----------
     name
-        Its sensor, label, participant or ``sensor/unit``, or what `described` returns.
+        Its sensor, label, participant or ``sensor/unit``, or its name from `described`.
 
     Raises
     ------
@@ -72,9 +72,9 @@ def _listed(devices: Iterable[DeviceIdentity]) -> str:
 
 
 def described(identity: DeviceIdentity) -> str:
-    """Return a device's name with who wears it, ``polar_h10/virtual (P01)``.
+    """Return a device's name with its wearer, ``polar_h10/virtual (P01)``.
 
-    It is unique among virtual devices, too, of which several people may wear one of a kind.
+    It is also unique among virtual devices, of which several people may wear the same kind.
     """
     worn = " ".join(part for part in (identity.participant, identity.label) if part)
     return device_name(identity) + (f" ({worn})" if worn else "")

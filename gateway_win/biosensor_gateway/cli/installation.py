@@ -108,7 +108,7 @@ def _words(process: psutil.Process) -> tuple[str, ...]:
 
 
 def _reported(ask: Callable[[], _Fact], otherwise: _Fact) -> _Fact:
-    """Return what the system reports of a process; of others' it may report nothing."""
+    """Return the system's report on a process; it may be empty for other users' processes."""
     try:
         return ask()
     except (psutil.Error, OSError):

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 def start_text(started: Started) -> str:
-    """Return a sentence about a recording that was started."""
+    """Return a sentence about a started recording."""
     if started.by is By.GATEWAY:
         return (
             f"recording to {started.file}: {len(started.streams)} streams are open after "
@@ -68,7 +68,7 @@ def start_text(started: Started) -> str:
 
 
 def stop_text(stopped: Stopped) -> str:
-    """Return sentences about a recording that was ended, with its verdict."""
+    """Return sentences about an ended recording, with its verdict."""
     if not stopped.verified:
         return "LabRecorder was asked to stop; not verified"
     closed = (
@@ -83,13 +83,13 @@ def stop_text(stopped: Stopped) -> str:
 
 
 def local_text(status: Status) -> str:
-    """Return the status of a recording that this computer makes without LabRecorder."""
+    """Return the status of this computer's recording without LabRecorder."""
     state = "recording to" if status.recording else "no longer recording to"
     return progress_text(f"{state} {status.file}", status.sight, status.problems)
 
 
 def window_text(where: str, status: Status) -> str:
-    """Return the status of a recording of the LabRecorder window at the address *where*."""
+    """Return the status of the recording by the LabRecorder window at the address *where*."""
     answer = "; ".join(each.text for each in status.problems) or "LabRecorder answers"
     return f"{where}: {answer}\n{_window_recording(status)}"
 
@@ -126,7 +126,7 @@ def _row(stream: StreamProgress) -> str:
 
 
 def warn(warnings: Iterable[str], *, silent: bool) -> None:
-    """Print warnings to stderr; with JSON, *silent*, because the result has them."""
+    """Print warnings to stderr, unless *silent*: JSON output contains them."""
     for warning in () if silent else warnings:
         typer.echo(f"! {warning}", err=True)
 
@@ -149,7 +149,7 @@ def has_window(host: str, port: int) -> bool:
 
 
 def window_may_record(host: str, port: int) -> bool:
-    """Whether LabRecorder's window may be recording: it is open, or was asked to record."""
+    """Whether LabRecorder's window may be recording, because it is open or was told to record."""
     return WindowRecording.last(state_folder()) is not None or has_window(host, port)
 
 
@@ -205,7 +205,7 @@ def local_status(*, watch: bool, as_json: bool) -> None:
 
 
 def watch_file(file: Path, *, as_json: bool) -> None:
-    """Print how the file of LabRecorder's window grows, until it is closed."""
+    """Print the growth of the file of LabRecorder's window until the file is closed."""
     growth = Growth(file)
     while True:
         progress = growth.look()
@@ -423,7 +423,7 @@ def stop(
 
 
 def _nobody_records(file: Path | None) -> bool:
-    """Whether no window on this computer records or was asked to."""
+    """Whether no window on this computer records or was told to."""
     return file is None and not window_may_record(LOCAL_HOST, DEFAULT_PORT)
 
 

@@ -113,7 +113,7 @@ class Link:
         return known
 
     def remarks(self) -> list[Remark]:
-        """Return what is new since the last call; wrong stamps when their count has doubled."""
+        """Return news since the last call; wrong stamps only when their number has doubled."""
         found: list[Remark] = []
         if (why := self._computer.rate_remark) != self._told_rate:
             self._told_rate = why

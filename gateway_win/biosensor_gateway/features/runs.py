@@ -164,7 +164,7 @@ class State:
     every_s
         Longest time between two values while nothing is wrong, in s.
     trust_at
-        Channel beside with the quality of what the rate was computed from; 0 if there is none.
+        Channel of the same stream with the quality of the rate's source; 0 if there is none.
     """
 
     def __init__(

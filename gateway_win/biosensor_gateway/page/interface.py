@@ -163,7 +163,7 @@ class Features:
         return found
 
     def _tell(self, untold: dict[str, str]) -> None:
-        """Report features that are not shown, by what they are of, with the reason."""
+        """Report features that are not shown, by their stream, with the reason."""
         for about in self._told.keys() - untold.keys():
             self._refusals.over(Refusal.NO_FEATURES, about)
         for about, why in untold.items():

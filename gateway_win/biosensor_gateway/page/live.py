@@ -31,11 +31,11 @@ def is_of_now(age_s: float | None, *, nominal_hz: float, is_signal: bool) -> boo
     Parameters
     ----------
     age_s
-        Of the sample; None if there is none.
+        Age of the sample; None if there is none.
     nominal_hz
         Nominal rate of the stream; 0 for irregular ones.
     is_signal
-        Whether it is about the body. A value about the device itself is current until it changes.
+        Whether it is a signal of the body; a value of the device is current until it changes.
     """
     if age_s is None:
         return False
@@ -154,7 +154,7 @@ class View(BaseModel):
 
 
 class Screen:
-    """Collects the samples for the next picture of one browser.
+    """Collects the samples for the next frame of one browser.
 
     A trace never has more bins than pixels: for a slow browser, samples that have left the window
     are discarded.
@@ -167,7 +167,7 @@ class Screen:
         self._begin_s: float | None = None
 
     def show(self, view: View, now: float) -> None:
-        """Take a new request; the next picture covers the whole window.
+        """Store a new request; the next frame covers the whole window.
 
         Parameters
         ----------
@@ -193,17 +193,17 @@ class Screen:
         return () if self._view is None else self._view.streams
 
     def add(self, samples: Samples) -> None:
-        """Add samples for the next picture."""
+        """Add samples for the next frame."""
         waiting = self._waiting.get(samples.source_id)
         if waiting is None or self._view is None:
             return
         waiting.append(samples)
-        # A browser that does not fetch its pictures must not fill the memory.
+        # A browser that does not fetch its frames must not fill the memory.
         while waiting[0].stamps[-1] < samples.stamps[-1] - self._view.window_s:
             waiting.pop(0)
 
     def picture(self, now: float) -> bytes | None:
-        """Return the samples since the last picture as bins; None before the first request.
+        """Return the samples since the last frame as bins; None before the first request.
 
         ::
 
@@ -212,7 +212,7 @@ class Screen:
             bin_s       float64, width of a pixel; pixels count from LSL time `begin`
             ...         one block for each stream with new samples, see `downsampling.packed`
 
-        A pixel may be sent again, with the samples since.
+        A pixel may be sent again with further samples.
         """
         if self._view is None or self._begin_s is None:
             return None
@@ -238,7 +238,7 @@ STATUS_EVERY = 10
 
 
 def live(source: Source, more: Callable[[], BaseModel]) -> ASGIApp:
-    """Return the application with the WebSocket."""
+    """Return the application that serves the WebSocket."""
 
     async def show(socket: WebSocket) -> None:
         await socket.accept()
@@ -266,7 +266,7 @@ async def _receive(socket: WebSocket, source: Source, screen: Screen) -> None:
 async def _send(
     socket: WebSocket, source: Source, screen: Screen, more: Callable[[], BaseModel]
 ) -> None:
-    """Send pictures and statuses; a slow browser gets fewer of them."""
+    """Send frames and statuses; a slow browser gets fewer of them."""
     count, next_s, sent_turns = 0, time.monotonic(), source.turns
     while not source.has_ended:
         if count % STATUS_EVERY == 0 or source.turns != sent_turns:

@@ -54,7 +54,7 @@ class AgentPage:
     open_log
         Called in another thread once the page has something to show.
     end_after_s
-        The server ends after so many seconds without a window, an agent and a recording.
+        The server ends after this time in seconds without a window, an agent and a recording.
     share_port
         TCP port of the view for other computers, 0 for any free port; None to share nothing.
     """

@@ -243,7 +243,7 @@ class Shutdown:
     Parameters
     ----------
     after_s
-        The server ends after so many seconds without a window, an agent, a recording and a replay;
+        The server ends after this time in s without a window, an agent, a recording and a replay;
         infinite for never.
     """
 

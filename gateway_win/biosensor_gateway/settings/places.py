@@ -73,7 +73,7 @@ def warnings_of(folder: Path) -> tuple[str, ...]:
 
 
 def _of_mistyped(folder: Path) -> Iterator[str]:
-    """Tell of other participants' folders whose names look like that of this recording."""
+    """Report other participants' folders whose names resemble that of this recording."""
     own = next((each for each in (folder, *folder.parents) if each.name.startswith(_SUBJECT)), None)
     if own is None:
         return

@@ -142,7 +142,7 @@ class Wearer:
         return rms * np.sqrt(2 / _NOISE_TONES) * tones.sum(axis=1)
 
     def _changing(self, t: Floats) -> Floats:
-        """Return the times of what is measured, which stand still while it is flat."""
+        """Return the times of the measured values; they stand still while the signal is flat."""
         for begin_s, end_s in self.flat:
             t = np.where((t >= begin_s) & (t < end_s), begin_s, t)
         return t

@@ -263,7 +263,7 @@ class RfcommLink(SocketLink):
 
 
 def byte_link(port: str, baud_rate: int = USUAL_BAUD_RATE) -> ByteLink:
-    """Return the closed link for a text.
+    """Return the link to an address in a text; it is not open yet.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ def byte_link(port: str, baud_rate: int = USUAL_BAUD_RATE) -> ByteLink:
 
 
 def tcp_link(host: str, port: int) -> ByteLink:
-    """Return the closed link to a TCP port, 1 to 65535, of a host: its name, IPv4 or IPv6."""
+    """Return the link to a host (name, IPv4 or IPv6) and TCP port (1 to 65535); not open yet."""
     return byte_link_of(TcpLink(host, port))
 
 

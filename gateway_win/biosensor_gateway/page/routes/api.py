@@ -50,9 +50,9 @@ class OneAtATime:
 
 
 def new_app() -> FastAPI:
-    """Return an application without pages for its documentation.
+    """Return an application without documentation pages.
 
-    FastAPI's would load scripts of other servers.
+    FastAPI's own ones would load scripts from other servers.
     """
     app = FastAPI(
         title="Biosensor Gateway",

@@ -385,7 +385,7 @@ class Story:
     def look(self, devices: Sequence[Mapping[str, Any]], standing: LocalStatus) -> None:
         """Note which sensors send a part of their streams, and which send all again.
 
-        Those that were paused or not connected are told by the file's events.
+        The file's events show those that were paused or not connected.
         """
         self._file, self._started = standing.file, standing.started
         sends = {identity_of(e) for e in devices if is_sending(e["state"], paused=e["paused"])}

@@ -105,7 +105,7 @@ def _tells_when(stream: Stream) -> bool:
 
 
 def estimated_rate(stream: Stream) -> float | None:
-    """Return the rate of a stream whose header names none; None if its samples do not tell one."""
+    """Return the rate of a stream without one in its header; None if the samples show none."""
     if not may_have_rate(stream.header):
         return None
     return rate_of(first_of(samples.stamps for samples in stream.blocks()))

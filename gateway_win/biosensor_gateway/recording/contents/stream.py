@@ -259,7 +259,7 @@ class Stream:
 
     @cached_property
     def order_error(self) -> str:
-        """Why its stamps do not tell when a sample was measured; empty if they do."""
+        """Why its stamps are not times of measurement; empty if they are."""
         return order_error(self.header, self._course, self.sample_count)
 
     @cached_property

@@ -106,7 +106,7 @@ def longest_gap_s(times: Times) -> float:
 
 
 def on_line(chosen: Chosen, stream: Stream, times: Times, *, always: bool = False) -> Runs | None:
-    """Return the runs of a stream if its rows are to lie on lines; None if stamps tell their rows.
+    """Return the runs of a stream whose rows lie on lines; None if the stamps determine the rows.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class Runs:
 
     @property
     def is_uneven(self) -> bool:
-        """Whether single timestamps do not tell when a sample was measured."""
+        """Whether single timestamps are not times of measurement."""
         pace = self.cuts.pace if self.cuts else None
         return pace is not None and bool(pace.burst > 1 or pace.overlap_s > 0 or pace.standstills)
 

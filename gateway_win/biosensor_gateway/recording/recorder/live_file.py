@@ -257,7 +257,7 @@ class Counted:
 
 
 class _Losses:
-    """Remembers what the agent's counters tell of data that was lost or not passed on unchanged.
+    """Stores what the agent's counters report as lost or as not passed on unchanged.
 
     As in `biosensor_gateway.recording.xdf.counters.refusals`, what the first reading tells is about
     the time before the recording, unless it lasts.
@@ -270,7 +270,7 @@ class _Losses:
         self._count_before = self._readings = 0
 
     def told(self, reading: Reading) -> None:
-        """Take the next reading, of which there is one a second."""
+        """Process the next reading; there is one per second."""
         if self._first is None:
             self._first = reading
             self._count_before = reading.lost

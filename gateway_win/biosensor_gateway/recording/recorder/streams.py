@@ -230,7 +230,7 @@ def recorded_without(what: Sequence[str]) -> Iterator[str]:
 
 
 def doubles(presence: Presence) -> Iterator[str]:
-    """Yield a sentence if streams of the agent are visible twice, of which one is another's."""
+    """Yield a sentence if streams of the agent are visible twice, once from another agent."""
     ours = Counter(each for each in presence.visible if each not in presence.foreign)
     twice = [each for each, count in ours.items() if count > 1 and each.source_id]
     if twice:
@@ -270,7 +270,7 @@ def away_findings(
     started
         Start of the recording in Unix time.
     without
-        The source_ids of sensors that were away at the start, of which the user knew.
+        The source_ids of sensors that were away at the start, as the user knew.
     """
     if devices is None:
         text = "the agent is not running, so none of its sensors' data is recorded"

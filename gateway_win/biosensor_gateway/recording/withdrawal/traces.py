@@ -111,7 +111,7 @@ class Person:
 
     @property
     def is_label(self) -> bool:
-        """Whether the name is its own BIDS label, so that nobody else has that."""
+        """Whether the name equals its BIDS label, so that no other name has the same label."""
         return self._key == self._label
 
     def is_in(self, text: str) -> bool:

@@ -440,7 +440,7 @@ def _is_bag(folder: Path) -> bool:
 
 
 def _recorded_as(folder: Path) -> str:
-    """Return the participant of a folder of a data set; empty if its table does not tell."""
+    """Return the participant of a folder of a data set; empty if its table has none."""
     try:
         rows = _rows_of(folder.parent / PARTICIPANTS)
     except (OSError, ValueError):

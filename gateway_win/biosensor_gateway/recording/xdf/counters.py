@@ -171,7 +171,7 @@ def compare(
 
 
 class _Strangers:
-    """Finds where a stream's samples are not those of which the readings tell.
+    """Finds where a stream's samples do not agree with the readings.
 
     The newest timestamp of each reading must be among those of the stream. A recorder that went on
     with another stream of the same source_id has as many samples, at other times.

@@ -112,7 +112,7 @@ def consequence(
 
 
 def _missing_times(code: str, measured: Measured, extent: Extent) -> Sequence[Gap]:
-    """Return in which times samples are missing, as a finding of this code says."""
+    """Return the times in which samples are missing according to findings with this code."""
     figures = measured.figures
     gaps = figures.gaps
     if code == "paused":

@@ -113,7 +113,7 @@ class RecordedHeader:
     def is_markers(self) -> bool:
         """Whether the stream has events rather than measurements.
 
-        That is any text, of whatever type, and numbers without a rate whose type says so.
+        That is text of any type, and numbers without a rate whose type mentions markers.
         """
         if self.format is ChannelFormat.STRING:
             return True

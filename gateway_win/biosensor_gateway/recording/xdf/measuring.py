@@ -168,7 +168,7 @@ def _measure(stream: RecordedStream) -> Figures:
 
 
 def first_of(blocks: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return as many timestamps as are enough to tell a rate."""
+    """Return enough of the first timestamps to determine the rate."""
     parts: list[NDArray[np.float64]] = []
     count = 0
     for stamps in blocks:
@@ -198,7 +198,7 @@ def _within(
 
 
 def is_between(stamps: NDArray[np.float64], bounds: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return which stamps are in a range; those that are no number are not."""
+    """Return which stamps are in a range; NaN and infinity are not."""
     return (stamps >= bounds[0]) & (stamps <= bounds[1])
 
 
@@ -218,7 +218,7 @@ class Course:
 
     @classmethod
     def of(cls, blocks: Iterable[NDArray[np.float64]]) -> Course:
-        """Return that of timestamps in blocks, in the order of the file."""
+        """Return the course of timestamps given in blocks, in the order of the file."""
         course = cls()
         for stamps in _following(blocks):
             steps = np.diff(stamps)
@@ -247,7 +247,7 @@ def _following(
 def may_have_rate(header: RecordedHeader) -> bool:
     """Whether a stream whose header names no rate may be a signal.
 
-    Ours say what they mean, and intervals between beats are as even as the heart.
+    Our own headers are right, and intervals between beats look like a signal because they are even.
     """
     is_signal = not header.is_markers and header.content_type != ContentType.RR
     return is_signal and not header.is_regular and not header.is_ours
@@ -291,7 +291,7 @@ def _gaps_of(pace: Pace) -> Gaps:
 
 
 def _listed(gaps: Gaps, lengths_s: NDArray[np.float64], more: Sequence[Gap]) -> Gaps:
-    """Return the gaps with more of them, which come after all others."""
+    """Return the gaps with later ones added; only the longest stay listed."""
     listed = [*gaps.listed, *more]
     lengths_s = np.concatenate([[each.length_s for each in gaps.listed], lengths_s])
     longest: list[int] = sorted(np.argsort(-lengths_s, kind="stable")[:MOST_GAPS_LISTED].tolist())
@@ -304,7 +304,7 @@ def _listed(gaps: Gaps, lengths_s: NDArray[np.float64], more: Sequence[Gap]) -> 
 
 
 def joined(gaps: Gaps, later: Gaps) -> Gaps:
-    """Return the gaps of two parts of a stream together."""
+    """Combine the gaps of two consecutive parts of a stream."""
     both = _listed(gaps, np.array([each.length_s for each in later.listed]), later.listed)
     return replace(
         both,
@@ -436,7 +436,7 @@ def clock_error(
 def clock_bounds(
     header: RecordedHeader, offsets: Sequence[tuple[float, float]]
 ) -> tuple[float, float]:
-    """Return between which stamps, in s, a stream is on its computer's LSL clock."""
+    """Return the limits, in s, of stamps that can be on the LSL clock of a stream's computer."""
     times = [time for time, _ in offsets if time and is_reading(time)]
     if times:
         low_s = -math.inf if header.may_be_older else min(times) - FAR_OFF_S
@@ -451,14 +451,14 @@ def off_in_part(
     span: tuple[float, float],
     blocks: Callable[[], Iterable[NDArray[np.float64]]],
 ) -> str:
-    """Say how many stamps of a stream are not on the LSL clock; empty if none or all are.
+    """Return a sentence on the stamps that are not on the LSL clock; empty if none or all are.
 
     Parameters
     ----------
     span
         Its earliest and latest timestamp, in s.
     blocks
-        Gives all of them.
+        Returns all timestamps.
     """
     low, high = clock_bounds(header, offsets)
     if low <= span[0] and span[1] <= high:
@@ -502,5 +502,5 @@ def order_error(header: RecordedHeader, course: Course, sample_count: int) -> st
 
 
 def seconds_text(seconds: float, digits: int = 0) -> str:
-    """Return a time for people, also one of a damaged stamp, which would have 300 digits."""
+    """Format a time in seconds; one from a damaged stamp is shortened from up to 300 digits."""
     return f"{seconds:.{digits}f} s" if abs(seconds) <= READING_LIMIT_S else f"{seconds:.3g} s"

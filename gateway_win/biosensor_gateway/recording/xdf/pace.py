@@ -298,7 +298,7 @@ class Cuts:
         return np.concatenate([filled, times[count:]])
 
     def _look(self, section: Array, settled: int) -> None:
-        """Analyse a section, of which no later one tells more before index `settled`."""
+        """Analyse a section; later ones add no information before index `settled`."""
         if np.count_nonzero(np.isfinite(section)) < 2:
             return
         pace = find_pace(section, self._nominal_hz)
@@ -474,7 +474,7 @@ def _window_and_period(stamps: Array, steps: Array, nominal_s: float) -> tuple[i
 
 
 def _slope_between(stamps: Array, marks: NDArray[np.int64], lag: int) -> float:
-    """Return the median slope between marks at a distance of so many marks; 0 if there are none."""
+    """Return the median slope between marks `lag` marks apart; 0 if there are none."""
     if not 0 < lag < len(marks):
         return 0.0
     return float(
@@ -612,7 +612,7 @@ class _Line:
         return cls(len(number), begin + middle, rest_s + usual_s * middle, products, squares)
 
     def times(self, first: int, count: int, period_s: float) -> Array:
-        """Return the times on it of so many samples, from index `first` on."""
+        """Return the times of `count` samples on the line, from index `first` on."""
         number = np.arange(first, first + count, dtype=np.float64)
         return self.stamp_s + period_s * (number - self.number)
 

@@ -1,4 +1,4 @@
-"""Judges a recording as a whole, by the streams it should have, and says if it can be trusted."""
+"""Compares a recording with the streams it should have, and decides if it can be trusted."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ Besides these:
 itself, at the connection at which they differ from the one before. A device whose entry
 in the settings file was changed is removed and added.
 
-While a device is paused, nothing is said that was measured on the body, nor of gaps,
+While a device is paused, no measurements of the body are reported, nor gaps,
 because nothing is expected. How many samples were withheld is not said either: the
 number of withheld beats is a heart rate.
 """

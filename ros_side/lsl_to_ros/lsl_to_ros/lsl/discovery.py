@@ -81,7 +81,7 @@ class Duplicates:
     def look(
         self, inlets: Mapping[str, Inlet], found: Mapping[str, pylsl.StreamInfo]
     ) -> list[Swap]:
-        """Open and close second inlets; return the swaps in which the second one has won.
+        """Open and close second inlets; return the swaps in which the second one takes over.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Duplicates:
             duplicate.inlet.stop()
 
     def stop(self) -> None:
-        """Close all."""
+        """Close all second inlets."""
         for uid in list(self._duplicates):
             self.close(uid)
 
@@ -199,7 +199,7 @@ def network_of(predicate: Predicate) -> Network:
 
 
 class FileRoom:
-    """Remembers which streams exceeded the limit of open files, until they fit or are gone."""
+    """Stores which streams exceed the limit of open files, until they fit or are gone."""
 
     def __init__(self, refusals: Refusals) -> None:
         self._refusals = refusals
@@ -291,7 +291,7 @@ class Discovery:
         return sorted(other.info.hostname() for other in others) if len(others) > 1 else []
 
     def set_predicate(self, predicate: str) -> None:
-        """Serve other streams from now on.
+        """Change the selection of streams.
 
         Parameters
         ----------
@@ -301,7 +301,7 @@ class Discovery:
         Raises
         ------
         SpecError
-            ``INVALID``, if a bracket or a quote in it has no partner.
+            ``INVALID``, if brackets or quotes in it are unbalanced.
         """
         wanted = wanted_by(predicate)
         if wanted != self._predicate:
@@ -385,7 +385,7 @@ class Discovery:
         return self._open(info, live, [other for other in before if other not in live])
 
     def _is_alive(self, info: pylsl.StreamInfo) -> bool:
-        """Whether an outlet is still reported although another one seemed to replace it."""
+        """Whether an outlet is still announced although another one seemed to replace it."""
         return monotonic() - self._left_out[info.uid()] > ALIVE_AFTER_S
 
     def _open(
@@ -423,7 +423,7 @@ class Discovery:
         """Whether an outlet that appeared later replaces this one.
 
         Either the earlier one has ended and is still reported, or both are alive with one
-        source_id; attaching to them in turn would then lose samples of both.
+        source_id; connecting to them alternately would then lose samples of both.
         """
         uid = info.uid()
         later = [inlet for inlet in self.inlets if self._order[inlet.uid] > self._order[uid]]
@@ -460,7 +460,7 @@ class Discovery:
 
 
 def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
-    """Whether it is a node's own stream, live or replayed, whose content is in ROS already."""
+    """Whether it is a node's own stream, live or replayed; its content is already in ROS."""
     if info.type() != ContentType.MARKERS:
         return False
     name = info.name()
@@ -468,7 +468,7 @@ def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
 
 
 def _is_of_another(inlet: Inlet) -> bool:
-    """Whether an inlet's stream is another program's, and not lost."""
+    """Whether an inlet's stream comes from another program and is not lost."""
     is_foreign = inlet.header is None or inlet.header.foreign
     return inlet.state is InletState.READY and is_foreign
 

@@ -301,7 +301,7 @@ def _newest(bridge: Bridge) -> Iterator[tuple[int, float]]:
 
 
 def _concerns_of_device(bridges: Sequence[Bridge]) -> Iterator[str]:
-    """Yield what streams tell of their device itself, and what its agent leaves out of it."""
+    """Yield what streams report about their device, and what its agent leaves out."""
     worn_or_charged = (
         why
         for bridge in bridges

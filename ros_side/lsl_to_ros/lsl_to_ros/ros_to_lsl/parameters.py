@@ -43,7 +43,7 @@ class SendAs(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TopicRequest:
-    """The request of the parameters for one topic."""
+    """A topic to send, as the parameters request it."""
 
     topic: str  # Full name.
     name: str  # Of the stream.
@@ -55,7 +55,7 @@ class TopicRequest:
 
 @dataclass(frozen=True, slots=True)
 class Requests:
-    """All requests of the parameters."""
+    """The topics to send, as the parameters request them."""
 
     topics: tuple[TopicRequest, ...] = ()
     # Whether to send every other topic, too, except those with unbounded bytes.
@@ -144,7 +144,7 @@ def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
 def _refuse_wrong(
     parameters: Iterable[Parameter], *, values: Mapping[str, Any]
 ) -> SetParametersResult:
-    """Refuse parameters that the node does not have, while it runs."""
+    """Refuse unknown parameters that are set while the node runs."""
     try:
         for each in parameters:
             _check_known(each.name, _topics(values[TOPICS]))
@@ -156,7 +156,7 @@ def _refuse_wrong(
 
 
 def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requests:
-    """Return the requests of parameter values; raises as :func:`read_requests` does.
+    """Convert parameter values to requests; raises as :func:`read_requests` does.
 
     Parameters
     ----------

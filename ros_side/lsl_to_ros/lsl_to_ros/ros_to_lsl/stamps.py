@@ -358,7 +358,7 @@ class MessageStamping:
     def _is_near(
         self, source: StampSource, stamp_ns: int, arrival_ns: int, most_s: float = WAY_S
     ) -> bool:
-        """Whether a stamp is near its arrival; with one publisher all of its messages tell that."""
+        """Whether a stamp is near its arrival; one publisher is judged by all of its messages."""
         late_s = (arrival_ns - stamp_ns) / NS_PER_S
         if not self.is_mixed or not stamp_ns or -AHEAD_S <= late_s <= most_s:
             return True

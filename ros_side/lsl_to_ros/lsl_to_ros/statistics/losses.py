@@ -137,13 +137,13 @@ class GapFinder:
         return found
 
     def _settle(self, place: int, excess_s: float) -> list[Gap]:
-        """Count what seemed to be missing before the last burst, unless this one came early."""
+        """Count the samples missing before the last burst, unless this one came early."""
         doubtful_s, self._doubtful_s = self._doubtful_s, 0.0
         missing = round(min(doubtful_s * self._rate, MOST_MISSING))
         return [Gap(place, missing)] if missing and -excess_s < doubtful_s / 2 else []
 
     def _next_burst(self) -> int:
-        """End a burst; return how long bursts are, 1 where samples come one by one."""
+        """End a burst; return the usual length of bursts, 1 if samples come singly."""
         if self._burst > 1 or self._bursts:
             self._bursts.append(self._burst)
         self._burst = 1
@@ -173,7 +173,7 @@ class Losses:
 
     @property
     def total(self) -> int:
-        """Sum of both."""
+        """Sum of the samples lost before the agent and in LSL."""
         return self.device + self.transport
 
 
@@ -208,7 +208,7 @@ class CountersComparison:
 
     @property
     def before(self) -> int | None:
-        """Samples that the outlet had sent before this node first attached, None while unknown.
+        """Samples that the outlet had sent before this node first connected, None while unknown.
 
         They are not lost, because no node was receiving. After a restart of the node, they
         give the number of samples between the two nodes.
@@ -355,17 +355,17 @@ class NodeCounters:
 
     @property
     def unfit(self) -> int:
-        """Samples that do not fit a message type, and were not published there."""
+        """Samples that do not fit the raw topic's message type and are missing there."""
         return self.refusals.count(Refusal.UNFIT, Refusal.NO_TIME)
 
     @property
     def unstamped(self) -> int:
-        """Samples that no stamped topic got, because the sender's clock stayed unknown."""
+        """Samples missing on stamped topics, because the sender's clock offset is unknown."""
         return self.refusals.count(Refusal.UNSTAMPED)
 
     @property
     def discarded(self) -> int:
-        """Samples of partial chunks that ended at a gap; they went out raw."""
+        """Samples of incomplete chunks before a gap; they were published on the raw topic."""
         return self.refusals.count(Refusal.CHUNK_CUT)
 
     def lost(self, *, can_estimate: bool) -> Lost:
@@ -378,7 +378,7 @@ class NodeCounters:
         )
 
     def connection_ended(self, undelivered: int) -> None:
-        """Record samples that LSL dropped; an outlet that continues is counted by its reports."""
+        """Record samples that LSL dropped; for an outlet that continues, its reports count them."""
         self.undelivered = undelivered
         self.missing += undelivered
         if undelivered:

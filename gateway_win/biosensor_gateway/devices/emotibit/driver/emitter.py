@@ -254,7 +254,7 @@ class SensorRows:
         return index
 
     def _beside(self, index: int, channel: int, count: int, time_s: float, *, gap: bool) -> int:
-        """Return the index in a round of others, of which it may have a sample more or less."""
+        """Return the index in a round of other channels, which may have one sample more or less."""
         own = self._last[channel]
         if own is None or gap:
             return index

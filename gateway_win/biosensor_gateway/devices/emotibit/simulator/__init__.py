@@ -114,7 +114,7 @@ class _Wifi(asyncio.DatagramProtocol):
         return True
 
     def in_turn(self, datagram: bytes) -> list[bytes]:
-        """Return the datagrams that arrive now: usually this one, unless it is overtaken."""
+        """Return the datagrams that arrive now: none, this one, or it and an overtaken one."""
         self._datagrams += 1
         overtaken, self._overtaken = self._overtaken, None
         if overtaken is not None:
@@ -125,18 +125,18 @@ class _Wifi(asyncio.DatagramProtocol):
         return [datagram]
 
     def tell(self, time_ms: int, tag: str, payload: list[str], address: Address) -> None:
-        """Send a host a packet."""
+        """Send a packet to a host."""
         if self._transport is not None and self.is_there:
             self._transport.sendto(rounds.packet(time_ms, self._number, tag, payload), address)
             self._number += 1
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
-        """Pass on a host's packet, one per datagram as in the firmware."""
+        """Pass on a host's packet; as in the firmware, each datagram has one."""
         if self.is_there:
             self._asked(rounds.heard(data.split(b"\n")[0]), (addr[0], addr[1]))
 
     def error_received(self, exc: Exception) -> None:
-        """Ignore that a host is gone."""
+        """Ignore errors that report a host as gone."""
 
 
 def _overtake(wifi: _Wifi) -> None:
@@ -216,7 +216,7 @@ class SimulatedEmotiBit(VirtualDevice):
     host, port
         Address and UDP port for requests; port 0 takes a free one. A real device uses 3131.
     ppg_hz
-        Pulse rate of its firmware.
+        Sampling rate of the pulse signal in its firmware.
     **specimen
         As for every virtual device: see `Specimen`. The drift is that of its processor's clock.
     """

@@ -47,7 +47,7 @@ class Credentials:
     client_secret: Secret
 
     def params(self) -> dict[str, object]:
-        """Return them as parameters of a request."""
+        """Return client id and secret as parameters of a request."""
         return {"clientId": self.client_id, "clientSecret": self.client_secret}
 
 

@@ -97,7 +97,7 @@ class Numbering:
             self.suspect()
 
     def suspect(self) -> None:
-        """Expect that samples are missing before the next packet, as the belt says."""
+        """Expect missing samples before the next packet, because the belt reports them."""
         self._suspicious = self._has_jumped = True
 
     def place(self, packet: Arrived) -> list[Placed]:
