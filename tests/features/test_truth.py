@@ -382,6 +382,44 @@ def test_a_jump_of_skin_spoils_what_is_within_five_seconds(level: float, rate: f
     assert told[(ends_s < 30) | (ends_s > 42)].min() == 1
 
 
+@pytest.mark.parametrize("rate", [4.0, 15.0, 128.0])
+@pytest.mark.parametrize("height", [0.3, 1.0, 3.0, -0.3, -1.0, -3.0])
+def test_a_touch_or_dip_of_a_second_is_no_response_of_good_quality(
+    height: float, rate: float
+) -> None:
+    # Boucsein 2012: half of a response is gone after 2 s at the earliest.
+    signal, peaks = signals.skin(rate, 150)
+    assert _qualities("GSR", signal, rate).min() == 1.0
+    t = np.arange(len(signal)) / rate
+    for moment in (peaks[3] - 5, peaks[5] + 5):
+        for shape in (
+            np.exp(-0.5 * np.square((t - moment) / 0.35)),
+            np.where(np.abs(t - moment) < 0.5, np.cos(np.pi * (t - moment)), 0.0),
+        ):
+            events = signals.events_of("GSR", signal + height * shape, rate)
+            ends, told = signals.stamps_of(events, "sqi"), signals.values_of(events, "sqi")[:, 0]
+            found = signals.stamps_of(events, "scr")
+            for each in found[np.abs(found - moment) < 2]:
+                assert told[(ends >= each) & (ends < each + 4)].min() < 0.5
+            assert told[(ends < moment - 1) | (ends > moment + 12)].min() == 1.0
+
+
+@pytest.mark.parametrize("rate", [4.0, 32.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_responses_of_any_size_on_a_wandering_level_are_not_called_touches(
+    seed: int, rate: float
+) -> None:
+    draw = np.random.default_rng(seed)
+    t = np.arange(round(240 * rate)) / rate
+    signal = 6 + 0.5 * np.sin(2 * np.pi * t / 70) + 0.003 * draw.standard_normal(len(t))
+    onset_s = 3.0
+    while onset_s < 230:
+        s = np.maximum(0.0, t - onset_s)
+        signal += 0.4 * np.exp(0.6 * draw.standard_normal()) * (np.exp(-s / 4) - np.exp(-s / 0.75))
+        onset_s += 4 + draw.exponential(10)
+    assert np.mean(_qualities("GSR", signal, rate) < 0.5) < 0.03
+
+
 @pytest.mark.parametrize(("kind", "first_s"), [("GSR", 10), ("Respiration", 30)])
 def test_quality_is_told_each_second_once_its_window_is_full(kind: str, first_s: int) -> None:
     signal = signals.skin(16, 60)[0] if kind == "GSR" else signals.breath(16, 60)

@@ -231,6 +231,12 @@ EDA_SLOPE_MICROSIEMENS_PER_S, EDA_SLOPE_LEVELS_PER_S = (0.5, 10.0), 1.0
 many times the level in a second, but not less than the smaller one."""
 EDA_INVALID_NEAR_S = 5.0
 """[7]_: what is so close to something invalid is not valid either."""
+EDA_FALL_S, EDA_BEFORE_FALL_S = 1.0, 15.0
+EDA_FALL_SHARE, EDA_FALL_BELOW_SHARE = 0.35, 0.16
+"""[6]_: half of a response is gone after 2 to 10 s; in 1 s it is at most 0.3 of what it rose by,
+and of larger ones before it, which go on falling below it, 0.1 less in the next second."""
+EDA_FALL_TIMES = 3.0
+"""How much more than usual it falls: of what swings all the time, none is a touch."""
 EDA_LEAST_MICROSIEMENS = (0.05, 0.1)
 """Good while responses of 0.05 uS stand out of noise, the largest limit that is usual [6]_; bad
 where none below twice that does."""

@@ -354,14 +354,22 @@ def gsr(values: Array, rate: float) -> Judged:
     Rules 1, 2 and 4 of Kleckner 2018: its range, its slope, and the distance to invalid samples.
     Rule 3 needs another stream; see `Warmth`. Slopes are computed from means of neighbours, because
     the noise of single samples is steeper the faster they are sampled. At a low conductance, as at
-    a wrist, a smaller step is a jump. Noise that hides responses is not in these rules.
+    a wrist, a smaller step is a jump. Noise that hides responses is not in these rules, and neither
+    are touches, which fall as fast as they rise.
+
+    Parameters
+    ----------
+    values
+        More than the window: of what comes before it, only the falls count.
     """
     slow, slow_hz = averaged(values, rate, at.EDA_RATE_HZ)
+    window = round(at.QUALITY_WINDOW_S["GSR"] * slow_hz)
+    falls, slow = _falls(slow, slow_hz)[-window:], slow[-window:]
     low, high = at.EDA_RANGE_MICROSIEMENS
     is_out = (slow < low) | (slow > high)
     least, most = at.EDA_SLOPE_MICROSIEMENS_PER_S
     steepest = min(most, max(least, at.EDA_SLOPE_LEVELS_PER_S * float(np.median(slow))))
-    jumps = np.abs(np.diff(slow, prepend=slow[0])) * slow_hz > steepest
+    jumps = falls | (np.abs(np.diff(slow, prepend=slow[0])) * slow_hz > steepest)
     near = round(at.EDA_INVALID_NEAR_S * slow_hz)
     last = slice(-near, None)
     reasons = {"out_of_range": is_out, "noisy": jumps}
@@ -370,6 +378,35 @@ def gsr(values: Array, rate: float) -> Judged:
     scores["noisy"] = min(scores["noisy"], 1 - hides)
     quality = min(1 - float(_spread(is_out | jumps, near)[last].mean()), 1 - hides)
     return quality, _judged(scores, {})[1]
+
+
+def _falls(levels: Array, rate: float) -> NDArray[np.bool_]:
+    """Return which levels are of a touch or a dip of about a second, which no response falls like.
+
+    Half of a response is gone after 2 s at the earliest, Boucsein 2012, so that a second takes at
+    most 0.3 of what it rose by. Levels that swing all the time are not judged.
+    """
+    is_fallen = np.zeros(len(levels), np.bool_)
+    second, before = round(at.EDA_FALL_S * rate), round(at.EDA_BEFORE_FALL_S * rate)
+    width = 2 * round(at.SCR_SMOOTHING_S * rate / 2) + 1
+    smooth = np.convolve(np.pad(levels, width // 2, "edge"), np.full(width, 1 / width), "valid")
+    falls = smooth[:-second] - smooth[second:]
+    if len(falls) <= second:
+        return is_fallen
+    trend = float(np.median(falls))
+    usual = float(np.median(np.abs(falls - trend)))
+    least = max(least_response(levels, rate), at.EDA_FALL_TIMES * usual)
+    # A response goes on falling; a level that falls all the time is not part of it.
+    ends = np.minimum(falls[:-second] - trend, falls[:-second] - falls[second:])
+    for place in np.flatnonzero(ends > least):
+        since = max(0, place - before)
+        if place - since < before / 2:
+            continue  # nothing is dropped: what it rose by is not known yet
+        known = smooth[since : place + 1]
+        rise, span = smooth[place] - known.min(), np.ptp(known)
+        if ends[place] > at.EDA_FALL_SHARE * rise + at.EDA_FALL_BELOW_SHARE * span:
+            is_fallen[place : place + second + 1] = True
+    return is_fallen
 
 
 def _spread(flags: NDArray[np.bool_], near: int) -> NDArray[np.bool_]:
@@ -415,7 +452,11 @@ class Quality:
         self._hops = Hops(piece)
         self._window_s = at.QUALITY_WINDOW_S[content_type]
         # nothing is dropped: what a window slides over
-        self._pieces: deque[Array] = deque(maxlen=max(1, round(self._window_s * rate / piece)))
+        self._least_pieces = max(1, round(self._window_s * rate / piece))
+        before_s = at.EDA_BEFORE_FALL_S if content_type == "GSR" else 0.0
+        self._pieces: deque[Array] = deque(
+            maxlen=self._least_pieces + round(before_s * rate / piece)
+        )
         self._qualities: deque[tuple[float, float]] = deque()
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
@@ -423,7 +464,7 @@ class Quality:
         events: list[Event] = []
         for times, piece in self._hops.take(stamps, values):
             self._pieces.append(piece)
-            if len(self._pieces) < (self._pieces.maxlen or 0):
+            if len(self._pieces) < self._least_pieces:
                 continue  # nothing is dropped: the first window is not full yet
             quality, reasons = self._judge(np.concatenate(self._pieces), self._rate)
             flags = tuple(float(each in reasons) for each in REASONS)

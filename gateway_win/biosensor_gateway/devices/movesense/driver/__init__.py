@@ -229,6 +229,7 @@ class MovesenseDriver:
             for name in each.streams
             if name not in self._emitter.silent
         }
+        denied |= await self._strap.ask_for_battery()
         return Connected(
             _device_info(greeting), self._rates, frozenset(self._emitter.silent), denied=denied
         )

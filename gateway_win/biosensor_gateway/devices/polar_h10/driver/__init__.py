@@ -76,6 +76,7 @@ class PolarSession:
         self._strap = Strap(link, emitter.strap)
         self._control = ControlPoint(link, self._receive)
         self._measurements = Measurements(self._control, emitter)
+        self._denied_battery: dict[str, str] = {}
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
         """Connect, start everything, and return the device information.
@@ -107,6 +108,7 @@ class PolarSession:
         else:
             message = f"{self._link.what} is not a heart-rate sensor; choose another `device`"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        self._denied_battery = await self._strap.ask_for_battery()
         return info
 
     @property
@@ -140,7 +142,8 @@ class PolarSession:
         """Why the device refuses to measure, by data name."""
         refusals = self._measurements.refusals
         names = self._emitter.data_names
-        return {names[each]: refusal.why for each, refusal in refusals.items()}
+        measured = {names[each]: refusal.why for each, refusal in refusals.items()}
+        return measured | self._denied_battery
 
     @property
     def rates(self) -> Mapping[str, float]:
