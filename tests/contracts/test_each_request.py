@@ -236,6 +236,7 @@ ASKED = [name for name in NAMES if not is_recording(name) and not class_of(name)
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("manner", Manner)
 @pytest.mark.parametrize("name", ASKED, indirect=True)
 async def test_each_request_may_fail_and_what_is_missing_is_said(
