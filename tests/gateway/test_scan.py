@@ -155,11 +155,11 @@ def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: 
 
 def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
     identifier = "6F8D4C1E-0B7A-4D3C-9E52-1A2B3C4D5E6F"
-    strap = Found("any", "Strap", {"unit": "1", "device": identifier})
-    address = Found("any", "Strap", {"unit": "2", "device": "C8:25:00:00:00:01"})
-    (sentence,) = search.advice(search.Section(BLUETOOTH, (strap,)))
+    strap = Found("polar_h10", "Strap", {"unit": "1", "device": identifier})
+    address = Found("polar_h10", "Strap", {"unit": "2", "device": "C8:25:00:00:00:01"})
+    (sentence,) = search.place_of(BLUETOOTH, (strap,), ()).advice
     assert sentence.startswith("macOS shows identifiers instead of addresses: another computer")
-    assert search.advice(search.Section(BLUETOOTH, (address,))) == []
+    assert search.place_of(BLUETOOTH, (address,), ()).advice == []
 
 
 @pytest.mark.nightly

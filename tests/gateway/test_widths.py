@@ -16,7 +16,7 @@ from biosensor_gateway.cli import devices, status
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.doctor.device_test import DeviceTest, StreamTest
-from biosensor_gateway.doctor.scan import Section, toml_lines
+from biosensor_gateway.doctor.scan import SearchedPlace, place_of
 
 WIDTH = 80
 UNIT = "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"
@@ -131,16 +131,17 @@ def test_scan(terminal: io.StringIO) -> None:
     port = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10KZP45-if00-port0"
     others = tuple(f"Phone number {number}" for number in range(9))
     wired = Found(belt, "a board", {"port": port})
-    sections = [
-        Section("Bluetooth LE", tuple(found), others),
-        Section("Serial ports", (wired,)),
-        Section("a vendor's service", problem=REASON),
+    places = [
+        place_of("Bluetooth LE", found, others),
+        place_of("Serial ports", (wired,), ()),
+        SearchedPlace(where="a vendor's service", problem=REASON),
     ]
     with redirect_stdout(terminal):
-        devices._print_sections(sections)  # pyright: ignore[reportPrivateUsage]
+        devices._print_places(places)  # pyright: ignore[reportPrivateUsage]
     lines = terminal.getvalue().splitlines()
     # Those for the settings file are to be copied as they are.
-    copied = {f"    {line}" for each in (*found, wired) for line in toml_lines(each).splitlines()}
+    tables = [each.toml for place in places for each in place.found]
+    copied = {f"    {line}" for each in tables for line in each.splitlines()}
     assert copied <= set(lines)
     words = " ".join(fits("\n".join(line for line in lines if line not in copied)).split())
     assert words.count(f"{name}, -71 dBm") == len(found)

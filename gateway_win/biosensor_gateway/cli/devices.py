@@ -16,7 +16,6 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import Unit
 from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption, chosen_devices
 from biosensor_gateway.cli.output import can_ask, console, menu, say, several
-from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.settings import file as settings_file
@@ -98,28 +97,27 @@ def scan(
     """List the devices in reach, each with the lines that add it to the settings."""
     configure_logs(LogSettings(level="error"), None)
     with chosen_devices(settings, ",".join(simulate or ())) as configured:
-        sections = asyncio.run(search.scan(seconds, configured))
+        places = asyncio.run(search.scan(seconds, configured))
     if as_json:
-        content = [each.model_dump() for each in search.described(sections, configured)]
-        typer.echo(json.dumps(content, indent=2))
+        typer.echo(json.dumps([each.model_dump() for each in places], indent=2))
     else:
-        _print_sections(sections)
+        _print_places(places)
 
 
-def _print_sections(sections: list[search.Section]) -> None:
-    for section in sections:
-        say(f"{section.title}: {section.problem or _counted(len(section.found))}")
-        for found in section.found:
+def _print_places(places: list[search.SearchedPlace]) -> None:
+    for place in places:
+        say(f"{place.where}: {place.problem or _counted(len(place.found))}")
+        for found in place.found:
             signal = "" if found.rssi_dbm is None else f", {found.rssi_dbm} dBm"
             typer.echo()
             say(f"  {found.name}{signal}", hang=4)
             typer.echo()
-            typer.echo("\n".join(f"    {line}" for line in search.toml_lines(found).splitlines()))
-        for sentence in search.advice(section):
+            typer.echo("\n".join(f"    {line}" for line in found.toml.splitlines()))
+        for sentence in place.advice:
             typer.echo()
             say(f"  {sentence}", hang=2)
-        if section.others:
-            say(f"  not known to any driver: {', '.join(section.others)}", hang=4)
+        if place.others:
+            say(f"  not known to any driver: {', '.join(place.others)}", hang=4)
         typer.echo()
 
 
@@ -225,33 +223,32 @@ def _set_up(path: Path) -> str | None:
     return _tested([each for each in _devices(path) if (each.sensor, each.unit) in units])
 
 
-def _found(configured: Sequence[DeviceSettings]) -> list[Found]:
+def _found(configured: Sequence[DeviceSettings]) -> list[search.FoundDevice]:
     typer.echo()
     say(
         f"Looking for sensors for {SEARCH_S:g} seconds: by Bluetooth, at serial ports, in "
         "vendors' programs. Put yours on, or switch them on ..."
     )
-    sections = asyncio.run(search.scan(SEARCH_S, configured))
-    problems = [f"{each.title}: {each.problem}" for each in sections if each.problem]
+    places = asyncio.run(search.scan(SEARCH_S, configured))
+    problems = [f"{each.where}: {each.problem}" for each in places if each.problem]
     if problems:
         say("These places could not be searched; if you have no such sensor, that does not matter:")
     for problem in problems:
         say(f"  {problem}", hang=4)
-    known = {(each.sensor, each.unit) for each in configured}
-    every = [found for section in sections for found in section.found]
-    new = [each for each in every if (each.sensor, each.settings.get("unit")) not in known]
+    every = [found for place in places for found in place.found]
+    new = [each for each in every if not each.is_known]
     if not new:
         besides = " except those already in the settings" if every else ""
         say(f"No sensor was found{besides}. Is it charged, switched on, near, and worn?")
     return new
 
 
-def _named(found: Found) -> str:
-    title = sensor_title(found.sensor)
-    return found.name if found.name.startswith(title) else f"{title}: {found.name}"
+def _named(found: search.FoundDevice) -> str:
+    is_titled = found.name.startswith(found.title)
+    return found.name if is_titled else f"{found.title}: {found.name}"
 
 
-def _described(found: Found) -> str:
+def _described(found: search.FoundDevice) -> str:
     signal = "" if found.rssi_dbm is None else f", signal {found.rssi_dbm} dBm"
     return f"{_named(found)}{signal}"
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import structlog
@@ -51,26 +50,16 @@ class SearchedPlace(BaseModel):
     found: list[FoundDevice] = Field(default_factory=list[FoundDevice])
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
-    """One kind of place that was searched."""
-
-    title: str
-    found: tuple[Found, ...] = ()  # Devices that a driver recognizes, strongest signal first.
-    others: tuple[str, ...] = ()  # Other devices or ports, in words.
-    problem: str = ""  # Why the search was not possible, one sentence; empty if it was.
-
-
-async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Section]:
+async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[SearchedPlace]:
     """Search everywhere at once.
 
     Parameters
     ----------
     configured
-        Devices of the settings, which have the addresses of services.
+        Devices of the settings, which have the addresses of services, and are known.
     """
     entries = drivers_by_precedence()
-    searches: list[Awaitable[Section]] = [
+    searches: list[Awaitable[SearchedPlace]] = [
         _section("Bluetooth LE", lambda: _bluetooth(entries, seconds)),
         _section("Serial ports", lambda: _serial(entries)),
     ]
@@ -79,7 +68,16 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
             devices = [each for each in configured if each.sensor == name]
             title = f"{declaration(name).title} by its service"
             searches.append(_section(title, _service(entry.find, devices)))
-    return list(await asyncio.gather(*searches))
+    places = await asyncio.gather(*searches)
+    mark_known(places, configured)
+    return list(places)
+
+
+def mark_known(places: Sequence[SearchedPlace], configured: Sequence[DeviceSettings]) -> None:
+    """Note which of the devices that were found are in the settings."""
+    known = {(each.sensor, each.unit) for each in configured}
+    for each in (found for place in places for found in place.found):
+        each.is_known = (each.sensor, str(each.settings.get("unit"))) in known
 
 
 def drivers_by_precedence() -> dict[str, DriverEntry]:
@@ -91,15 +89,22 @@ def drivers_by_precedence() -> dict[str, DriverEntry]:
 _Search = Callable[[], Awaitable[tuple[Sequence[Found], Sequence[str]]]]
 
 
-async def _section(title: str, search: _Search) -> Section:
+async def _section(title: str, search: _Search) -> SearchedPlace:
     try:
         found, others = await search()
     except GatewayError as error:
-        return Section(title, problem=str(error))
+        return SearchedPlace(where=title, problem=str(error))
     except Exception as error:  # noqa: BLE001 - whatever one search runs into, the others go on
         _log.error("a search failed", where=title, exc_info=error)
-        return Section(title, problem=f"the search failed ({type(error).__name__})")
-    return Section(title, tuple(found), tuple(others))
+        return SearchedPlace(where=title, problem=f"the search failed ({type(error).__name__})")
+    return place_of(title, found, others)
+
+
+def place_of(title: str, found: Sequence[Found], others: Sequence[str]) -> SearchedPlace:
+    """Return what was found at one kind of place; its devices are not marked as known."""
+    return SearchedPlace(
+        where=title, others=list(others), advice=_advice(found), found=[*map(_described, found)]
+    )
 
 
 def _service(
@@ -147,15 +152,10 @@ def recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort
     return None
 
 
-def toml_lines(found: Found) -> str:
-    """Return the lines that would add a device to the settings file."""
-    return table_lines(found.sensor, found.settings)
-
-
-def advice(section: Section) -> list[str]:
+def _advice(found: Sequence[Found]) -> list[str]:
     """Return how to distinguish devices with the same name, or with only an identifier."""
     addresses: dict[str, set[str]] = {}
-    for each in section.found:
+    for each in found:
         addresses.setdefault(each.name, set()).add(str(each.settings.get(_ADDRESS, "")))
     advice = [
         f"{len(alike)} have the name {name}: only the address under `device` distinguishes them. "
@@ -172,30 +172,13 @@ def advice(section: Section) -> list[str]:
     return advice
 
 
-def described(
-    sections: Sequence[Section], configured: Sequence[DeviceSettings]
-) -> list[SearchedPlace]:
-    """Return the models of a search's outcome, for scripts and for the page."""
-    known = {(each.sensor, each.unit) for each in configured}
-    return [
-        SearchedPlace(
-            where=section.title,
-            problem=section.problem or None,
-            others=list(section.others),
-            advice=advice(section),
-            found=[_described(each, known) for each in section.found],
-        )
-        for section in sections
-    ]
-
-
-def _described(found: Found, known: set[tuple[str, str]]) -> FoundDevice:
+def _described(found: Found) -> FoundDevice:
     return FoundDevice(
         sensor=found.sensor,
         title=declaration(found.sensor).title,
         name=found.name,
         rssi_dbm=found.rssi_dbm,
         settings=dict(found.settings),
-        toml=toml_lines(found),
-        is_known=(found.sensor, str(found.settings.get("unit"))) in known,
+        toml=table_lines(found.sensor, found.settings),
+        is_known=False,
     )

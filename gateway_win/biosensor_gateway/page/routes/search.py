@@ -67,7 +67,7 @@ class Search:
         self._configured = configured
         self._task: asyncio.Task[None] | None = None
         self._begun_s = 0.0
-        self._sections: list[scan.Section] = []
+        self._places: list[SearchedPlace] = []
 
     def start(self) -> None:
         """Begin to search.
@@ -80,18 +80,20 @@ class Search:
         if self._is_running:
             raise ConfigError(ConfigReason.IN_USE, "a search is running; wait until it ends")
         self._begun_s = time.monotonic()
-        self._sections = []
+        self._places = []
         self._task = asyncio.create_task(self._run())
 
     def view(self) -> SearchView:
         """Return the progress of the search."""
         if self._task is None:
             return SearchView(seconds=SEARCH_S)
+        # Some may have been added since.
+        scan.mark_known(self._places, self._configured())
         return SearchView(
             running=self._is_running,
             seconds=SEARCH_S,
             elapsed_s=min(SEARCH_S, time.monotonic() - self._begun_s),
-            places=scan.described(self._sections, self._configured()),
+            places=self._places,
             done=not self._is_running,
         )
 
@@ -100,7 +102,7 @@ class Search:
         return self._task is not None and not self._task.done()
 
     async def _run(self) -> None:
-        self._sections = await scan.scan(SEARCH_S, self._configured())
+        self._places = await scan.scan(SEARCH_S, self._configured())
 
 
 TRIAL_S = 5.0
