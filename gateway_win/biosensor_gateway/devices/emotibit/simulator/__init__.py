@@ -403,9 +403,6 @@ class SimulatedEmotiBit(VirtualDevice):
         if self._host is not None:
             self._host.send(self._rng.bytes(int(count)))
 
-    def _drift(self, ppm: float) -> None:
-        self._oscillator.set_drift(ppm)
-
     def _change_rate(self, hz: float) -> None:
         self._rate_hz = hz
         self._vanish()
@@ -433,7 +430,7 @@ class SimulatedEmotiBit(VirtualDevice):
             FaultKind.FORGET: flag("_sleeps"),
             FaultKind.UNREADABLE: flag("_is_unreadable"),
             FaultKind.LOW_BATTERY: level("_battery_percent"),
-            FaultKind.DRIFT: Effect(_drift),
+            **on_part("_oscillator", {FaultKind.DRIFT: Effect(Oscillator.set_drift)}),
             **on_part("_rounds", ROUNDS_EFFECTS),
             **on_part("_wifi", WIFI_EFFECTS),
             Untidiness.RATE: Effect(_change_rate, _usual_rate),

@@ -49,7 +49,7 @@ from biosensor_gateway.simulation.virtual_device import (
     SpecimenOptions,
     VirtualDevice,
 )
-from biosensor_gateway.simulation.world import World
+from biosensor_gateway.simulation.world import Oscillator, World
 
 _STAMP = "1680442024,64479"
 _DAMAGED: Sequence[bytes] = tuple(
@@ -379,12 +379,6 @@ class SimulatedE4(VirtualDevice):
         for client in self._listener.clients:
             client.subscriptions.clear()
 
-    def _discharge(self, percent: float) -> None:
-        self._first.signals.battery = percent / 100
-
-    def _drift(self, ppm: float) -> None:
-        self._first.oscillator.set_drift(ppm)
-
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_lose, _come_back),
@@ -396,9 +390,11 @@ class SimulatedE4(VirtualDevice):
             FaultKind.LATE: level("_manners.late_s", 0.0, then=_break_links),
             FaultKind.FORGET: Effect(_forget),
             FaultKind.UNREADABLE: flag("_delivery.mishaps.foreign"),
-            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.LOW_BATTERY: level(
+                "_first.signals.battery", read=lambda percent: percent / 100
+            ),
             FaultKind.OFF_BODY: flag("_first.signals.is_worn", False),
-            FaultKind.DRIFT: Effect(_drift),
+            **on_part("_first.oscillator", {FaultKind.DRIFT: Effect(Oscillator.set_drift)}),
             FaultKind.RESTART: lasting(_go_down, _come_up),
             **on_part("_listener", {FaultKind.STALL: lasting(Listener.stall, Listener.resume)}),
         }

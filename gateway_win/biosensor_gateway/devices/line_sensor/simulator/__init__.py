@@ -32,6 +32,7 @@ from biosensor_gateway.simulation.faults import (
     Untidiness,
     flag,
     lasting,
+    on_part,
 )
 from biosensor_gateway.simulation.truth import NO_INTERVALS, Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
@@ -227,9 +228,6 @@ class SimulatedLineSensor(VirtualDevice):
         if self._way is not None:
             self._way.write(b"E (4711) wifi:" + noise + b"\r\n")
 
-    def _drift(self, ppm: float) -> None:
-        self._oscillator.set_drift(ppm)
-
     def make_untidy(self, kind: Untidiness, *, on: bool) -> None:
         """Switch a disturbance of its link on or off."""
         if self._way is not None:
@@ -262,7 +260,7 @@ class SimulatedLineSensor(VirtualDevice):
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.UNREADABLE: flag("_is_otherwise"),
             FaultKind.RESTART: lasting(_go_down, _come_up),
-            FaultKind.DRIFT: Effect(_drift),
+            **on_part("_oscillator", {FaultKind.DRIFT: Effect(Oscillator.set_drift)}),
             Untidiness.STRAY: Effect(_greet),
             Untidiness.GLUED: lasting(_glue, _unglue),
             Untidiness.RATE: Effect(_change_rate, _usual_rate),

@@ -35,7 +35,16 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     sealed,
 )
 from biosensor_gateway.simulation.async_serial import PatientPort
-from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, glued, lasting
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    flag,
+    glued,
+    lasting,
+    level,
+    on_part,
+)
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Link, SpecimenOptions, VirtualDevice
 from biosensor_gateway.simulation.world import Oscillator, World
@@ -313,29 +322,9 @@ class SimulatedShimmer(VirtualDevice):
     def _write(self, data: bytes) -> bool:
         return self._port is not None and not self._stalled and self._port.write(data)
 
-    def _stall(self) -> None:
-        self._stalled = True
-
-    def _resume(self) -> None:
-        self._stalled = False
-
     def _babble(self, count: float) -> None:
         if self._conversation.spoken_to:
             self._write(self._rng.bytes(int(count)))
-
-    def _refuse(self) -> None:
-        self._conversation.refusing = True
-        self._break_link()
-
-    def _comply(self) -> None:
-        self._conversation.refusing = False
-
-    def _answer_late(self, seconds: float) -> None:
-        self._conversation.answer_delay_s = seconds
-        self._break_link()
-
-    def _answer_in_time(self) -> None:
-        self._conversation.answer_delay_s = 0.0
 
     def _deny(self) -> None:
         self._conversation.denied = next(self._to_deny)
@@ -352,45 +341,27 @@ class SimulatedShimmer(VirtualDevice):
         self._interpreter.sensing = False
         self._follow_sensing()
 
-    def _become_unreadable(self) -> None:
-        self._is_unreadable = True
-
-    def _become_readable(self) -> None:
-        self._is_unreadable = False
-
     def _power_cycle(self) -> None:
         self._oscillator = Oscillator(self.world.clock, self._oscillator.drift_ppm)
         self._first_tick = 0
         self._interpreter.power_on()
         self._reopen()
 
-    def _discharge(self, percent: float) -> None:
-        self._battery_percent = percent
-
-    def _take_off(self) -> None:
-        self._worn = False
-
-    def _put_on(self) -> None:
-        self._worn = True
-
-    def _drift(self, ppm: float) -> None:
-        self._oscillator.set_drift(ppm)
-
     effects = MappingProxyType(
         {
             Untidiness.GLUED: glued("_port"),
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.RESTART: lasting(_hang_up, _power_cycle),
-            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.STALL: flag("_stalled"),
             FaultKind.GARBAGE: Effect(_babble),
-            FaultKind.REFUSE: lasting(_refuse, _comply),
-            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.REFUSE: flag("_conversation.refusing", then=_break_link),
+            FaultKind.LATE: level("_conversation.answer_delay_s", 0.0, then=_break_link),
             FaultKind.DENY: lasting(_deny, _give),
             FaultKind.FORGET: Effect(_forget),
             Untidiness.STRAY: Effect(_be_docked),
-            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
-            FaultKind.LOW_BATTERY: Effect(_discharge),
-            FaultKind.OFF_BODY: lasting(_take_off, _put_on),
-            FaultKind.DRIFT: Effect(_drift),
+            FaultKind.UNREADABLE: flag("_is_unreadable"),
+            FaultKind.LOW_BATTERY: level("_battery_percent"),
+            FaultKind.OFF_BODY: flag("_worn", False),
+            **on_part("_oscillator", {FaultKind.DRIFT: Effect(Oscillator.set_drift)}),
         }
     )

@@ -27,7 +27,14 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     general,
     summary_v2,
 )
-from biosensor_gateway.simulation.faults import Effect, FaultKind, Untidiness, lasting, level
+from biosensor_gateway.simulation.faults import (
+    Effect,
+    FaultKind,
+    Untidiness,
+    lasting,
+    level,
+    on_part,
+)
 from biosensor_gateway.simulation.truth import ONE_RATE, Expected, LossTolerance, Truth
 from biosensor_gateway.simulation.virtual_device import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
@@ -508,9 +515,6 @@ class SimulatedZephyr(BioHarness):
     def _put_on(self) -> None:
         self._body.set_worn(worn=True)
 
-    def _drift(self, ppm: float) -> None:
-        self._body.set_drift(ppm)
-
     effects = MappingProxyType(
         {
             **BioHarness.effects,
@@ -522,6 +526,6 @@ class SimulatedZephyr(BioHarness):
             FaultKind.LATE: level("session.answer_delay_s", 0.0, then=_break_link),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.LOW_BATTERY: level("_body.battery_percent", read=round),
-            FaultKind.DRIFT: Effect(_drift),
+            **on_part("_body", {FaultKind.DRIFT: Effect(SyntheticSource.set_drift)}),
         }
     )
