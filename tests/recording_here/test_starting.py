@@ -16,6 +16,7 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.recording_file import FileSummary, summarize
 from biosensor_gateway.recording.recorder.request import (
@@ -30,6 +31,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from tests.recording_here.test_growth import HEAD, TWO, data
+from tests.xdf import xdf_file as x
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
 
@@ -183,13 +185,15 @@ def test_who_is_lost_while_the_streams_are_being_opened_is_red(running: Running)
     """Nobody was asked: it was there when *Record* was clicked."""
     away = device("one-id", state="connecting", since=STARTED - 5)
     found = running.findings([away, device("two-id")])
-    assert [each[:2] for each in found] == [(Level.ERROR, "away"), (Level.ERROR, "stopped")]
+    # One statement, and not another for each of its streams.
+    assert [each[:2] for each in found] == [(Level.ERROR, "away")]
 
 
 def test_who_is_lost_meanwhile_is_red(running: Running) -> None:
     away = device("one-id", state="connecting", since=STARTED + 5)
     found = running.findings([away, device("two-id")])
-    assert [each[:2] for each in found] == [(Level.ERROR, "away"), (Level.ERROR, "stopped")]
+    # One statement, and not another for each of its streams.
+    assert [each[:2] for each in found] == [(Level.ERROR, "away")]
 
 
 def test_who_streams_and_came_too_late_is_red(running: Running) -> None:
@@ -203,6 +207,17 @@ def test_without_their_agent_nothing_is_green(running: Running, tmp_path: Path) 
     sources = ("one-id", "two-id")
     RecorderFolder(tmp_path).save(SavedRecording(str(tmp_path / "a.xdf"), sources, STARTED))
     assert (Level.ERROR, "no-agent") in [each[:2] for each in running.findings(None)]
+
+
+def test_that_no_agent_runs_says_it_of_its_streams_and_not_of_others(tmp_path: Path) -> None:
+    file = tmp_path / "a.xdf"
+    own = recorded(strap("P01"), events=[heartbeat(polar_h10__A1="streaming")])
+    file.write_bytes(own + x.stream_header(20, "eye", kind="Gaze", source_id="eye-id"))
+    growth = Growth(file)
+    (events,) = (each for each in growth.look().streams if each.source_id.endswith("-events"))
+    of_agent = growth.sources_of_agent(events.source_id)
+    assert of_agent == {events.source_id, source_id(strap("P01"), "hr")}
+    assert growth.sources_of_agent("gateway-elsewhere-events") == {"gateway-elsewhere-events"}
 
 
 def test_streams_of_others_alone_need_no_agent(running: Running) -> None:

@@ -418,6 +418,17 @@ def test_another_agent_is_told_from_one_that_was_started_again(
         assert verdict(report).colour is Colour.RED
 
 
+@pytest.mark.parametrize(("started", "is_other"), [(1007.5, False), (950.0, True)])
+def test_sensors_that_another_agent_does_not_have_were_not_removed(
+    started: float, is_other: bool
+) -> None:
+    first = heartbeat(**STREAMING) | {"agent_started": 900.0, "lsl_time": 1006.0}
+    second = heartbeat(zephyr__B="streaming") | {"agent_started": started, "lsl_time": 1009.0}
+    report = judged("P01", strap("P01"), events=[first, first, second, second])
+    told = {code for code, _ in codes(report, Level.ERROR)}
+    assert told & {"another-agent", "removed"} == {"another-agent" if is_other else "removed"}
+
+
 def told_recording(events: Sequence[object], *stamps: float) -> bytes:
     """Return a recording of a strap's acceleration, and what its agent tells."""
     texts = [[json.dumps(each)] for each in events]

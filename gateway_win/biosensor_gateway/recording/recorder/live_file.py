@@ -666,6 +666,13 @@ class Growth:
             if each.log is not None and each.header.hostname == beside.header.hostname:
                 yield each.log
 
+    def sources_of_agent(self, events: str) -> frozenset[str]:
+        """Return the source_ids of the recorded streams of the agent that has these events."""
+        headers = {each.header.source_id: each.header for each in self._streams.values()}
+        host = headers[events].hostname if events in headers else None
+        of_it = (each for each in headers.values() if each.is_of_agent and each.hostname == host)
+        return frozenset(each.source_id for each in of_it) | {events}
+
     def _recorded_beside(self, events: _StreamReader) -> list[DeviceIdentity]:
         headers = (each.header for each in self._streams.values())
         host = events.header.hostname

@@ -209,7 +209,9 @@ class LocalRecorder:
             # Other programs' streams can be recorded without an agent.
             if devices is not None or saved.required:
                 findings += away_findings(devices, recorded, saved.started, saved.without)
-            silent = excused(devices, saved.started, saved.without)
+            # That an agent is away says that of all its streams.
+            is_away = devices is None
+            silent = growth.sources_of_agent(own_events()) if is_away else excused(devices)
             findings += growth.problems(saved.required, silent)
             findings += growth.story(own_events(), agent_started_s)
             findings.sort(key=lambda each: list(Level).index(each.level))

@@ -241,14 +241,12 @@ def doubles(presence: Presence) -> Iterator[str]:
         )
 
 
-def excused(
-    devices: Devices | None, started: float, without: Collection[str] = ()
-) -> frozenset[str]:
-    """Return the source_ids that may be silent: switched off, or of a sensor known to be away."""
-    away = (each.sources for each in absences(devices or ()) if _is_known(each, started, without))
+def excused(devices: Devices) -> frozenset[str]:
+    """Return the source_ids that may be silent: switched off, or of a sensor told to be away."""
+    away = (each.sources for each in absences(devices))
     silent = (
         source
-        for device in devices or ()
+        for device in devices
         for source, stream in device["streams"].items()
         if stream["silent"]
     )

@@ -269,7 +269,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
         elif event.get("event") == EventKind.DEVICE_ADDED:
             # A device added again under the same name is recorded again.
             ended.pop(identity, None)
-    gone = EventLog.of(events.stream.texts, recorded).gone | ended
+    gone = {**EventLog.of(events.stream.texts, recorded).gone, **ended}
     for identity, at in sorted(gone.items(), key=lambda each: each[1]):
         text = (
             f"{_named(identity)} was removed or renamed in the settings at "
@@ -445,7 +445,7 @@ class EventLog:
         self._now: dict[DeviceIdentity, tuple[str, float | None]] = {}
         self._over: dict[DeviceIdentity, list[Spell]] = {}
         self._had: set[DeviceIdentity] = set()
-        self.gone: dict[DeviceIdentity, float] = {}
+        self._gone: dict[DeviceIdentity, float] = {}
         """Recorded devices that the agent has no longer, as after a restart, and since when."""
         self.refused: dict[str, list[str]] = {}
         """What was refused or left out since the first event, by device; see `_refused`."""
@@ -513,6 +513,11 @@ class EventLog:
         return None
 
     @property
+    def gone(self) -> Mapping[DeviceIdentity, float]:
+        """Devices that this agent no longer has, and since when, in LSL s; not another agent's."""
+        return {} if self.other_agent_since() is not None else self._gone
+
+    @property
     def restarts(self) -> list[Spell]:
         """When this agent was restarted, each from its last heartbeat to the next one."""
         if self.other_agent_since() is not None:
@@ -545,9 +550,9 @@ class EventLog:
             each for name in cast("dict[str, object]", devices) for each in holders(name, recorded)
         }
         for device in self._had - here:
-            self.gone.setdefault(device, _time(event))
-        for device in here & self.gone.keys():
-            del self.gone[device]
+            self._gone.setdefault(device, _time(event))
+        for device in here & self._gone.keys():
+            del self._gone[device]
         self._had |= here
 
     def _take_refused(
