@@ -175,6 +175,11 @@ LAST_LINES_S = 1.0
 _PIPE_BYTES = 1 << 20
 _BLOCK = 1 << 16
 _ASK_AGAIN_S = 0.05
+_NO_MULTICAST = b"Couldn't create multicast responder for"
+NO_NETWORK = (
+    b"LSL cannot use multicast here, as without a network: other computers may not find the "
+    b"streams of this one\n"
+)
 
 
 def console(descriptor: int, name: str) -> NonblockingWriter | None:
@@ -222,6 +227,7 @@ class Relay:
         if descriptor == STDERR and faulthandler.is_enabled():
             # faulthandler writes to the original output: after a crash no thread reads the pipe.
             faulthandler.enable(self._real)
+        self._has_told_no_network = False
         self._thread = threading.Thread(
             target=self._read, name=f"from descriptor {descriptor}", daemon=True
         )
@@ -243,7 +249,19 @@ class Relay:
 
     def _read(self) -> None:
         while block := os.read(self._reading, _BLOCK):
-            self._writer.put(block)
+            lines = self._without_repeats(block)
+            if lines:
+                self._writer.put(lines)
+
+    def _without_repeats(self, block: bytes) -> bytes:
+        """Replace liblsl's lines about multicast, three for each outlet, by one sentence."""
+        if _NO_MULTICAST not in block:
+            return block
+        lines = block.splitlines(keepends=True)
+        others = [each for each in lines if _NO_MULTICAST not in each]
+        told = [] if self._has_told_no_network else [NO_NETWORK]
+        self._has_told_no_network = True
+        return b"".join([*told, *others])
 
 
 @contextlib.contextmanager

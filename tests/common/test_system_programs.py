@@ -19,7 +19,7 @@ import biosensor_common
 from biosensor_common import process_limits
 from biosensor_common.child import full_path, output_of
 from biosensor_common.errors import TransportError, TransportReason, cannot_write
-from biosensor_common.nonblocking_writer import NonblockingWriter
+from biosensor_common.nonblocking_writer import NO_NETWORK, NonblockingWriter, Relay
 from biosensor_common.process_limits import (
     ARENAS,
     INLET,
@@ -457,3 +457,21 @@ def test_an_output_that_refuses_is_tried_again_with_the_next_line(refusal: Excep
         writer.put(line)
     assert writer.close(DEADLINE_S)
     assert lines == [b"good\n", b"better\n"]
+
+
+def test_what_liblsl_writes_of_each_outlet_without_a_network_is_one_sentence() -> None:
+    """As liblsl 1.18 wrote it, three lines for each outlet, in a namespace with `lo` alone."""
+    warning = (
+        b"2026-11-30 18:27:40.871 (   2.714s) [        823EF540] stream_outlet_impl.cpp:103   WARN| "
+        b"Couldn't create multicast responder for 224.0.0.1 (Could not join any multicast group)\n"
+    )
+    heard: list[bytes] = []
+    writer = NonblockingWriter("console", heard.append)
+    descriptor = os.open(os.devnull, os.O_WRONLY)
+    relay = Relay(descriptor, writer)
+    for lines in (3 * warning, b"Stream transmission broke off\n", b"a line\n" + 2 * warning):
+        os.write(descriptor, lines)
+    relay.close(DEADLINE_S)
+    os.close(descriptor)
+    assert writer.close(DEADLINE_S)
+    assert b"".join(heard) == NO_NETWORK + b"Stream transmission broke off\na line\n"
