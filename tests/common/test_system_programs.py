@@ -459,10 +459,11 @@ def test_an_output_that_refuses_is_tried_again_with_the_next_line(refusal: Excep
     assert lines == [b"good\n", b"better\n"]
 
 
+@pytest.mark.seam
 def test_what_liblsl_writes_of_each_outlet_without_a_network_is_one_sentence() -> None:
     """As liblsl 1.18 wrote it, three lines for each outlet, in a namespace with `lo` alone."""
     warning = (
-        b"2026-11-30 18:27:40.871 (   2.714s) [        823EF540] stream_outlet_impl.cpp:103   WARN| "
+        b"18:27:40.871 (   2.714s) [        823EF540] stream_outlet_impl.cpp:103   WARN| "
         b"Couldn't create multicast responder for 224.0.0.1 (Could not join any multicast group)\n"
     )
     heard: list[bytes] = []

@@ -31,6 +31,8 @@ _KINDS = {
     "except": ("try:", "    take_it()", "except ValueError:", "    pass"),
     "filter": ("samples = [each for each in samples if each]",),
     "cut": ("samples, stamps = samples[:100], stamps[:100]",),
+    "unread": ("some_samples = take_it()", "if len(some_samples):", "    some_samples = []"),
+    "part": ("some_samples = take_it()", "kept = some_samples[:100]", "use_it(kept)"),
     "log": ('self._log.warning("a sample is dropped")',),
 }
 
@@ -69,6 +71,58 @@ def test_three_drops_at_places_of_a_seed_are_found(kind: str, seed: int) -> None
         all_found = drops(seeded, reports_of(room))
         found = [each for each in all_found if begin <= each.line <= end]
         assert what in {each.what for each in found}, f"{room.name}:{begin}: {what}"
+
+
+HAND_ON = "    for each in samples:\n        self._push(each)\n"
+
+
+@pytest.mark.parametrize(
+    ("body", "what"),
+    [
+        ("    samples = []\n" + HAND_ON, "unread"),
+        (
+            "    rows = self._rows\n    if len(rows) > 9:\n        rows = []\n    push(rows)",
+            "unread",
+        ),
+        ("    if self._rows:\n        self._rows = np.empty((0, 3))", "unread"),
+        ("    rows = read()\n    rows = read()\n    push(rows)", "unread"),
+        ("    few = samples[:9]\n    for each in few:\n        push(each)", "part"),
+        ("    push(samples[samples > 0])", "part"),
+        ("    push(samples[~is_odd], len(samples))", "part"),
+        ("    block = replace(block, rows=block.rows[1:])\n    push(block)", "part"),
+        ("    block = Block(block.rows[1:], block.stamps[1:])\n    push(block)", "part"),
+        (
+            "    while True:\n        rows = read()\n        see(rows)\n        push(rows[:9])",
+            "part",
+        ),
+        ("    if odd:\n        push(samples[:9])\n        return\n    push(samples)", "part"),
+        ("    if not samples:\n        return samples\n    samples = []\n" + HAND_ON, "unread"),
+        ("    push(islice(samples, 9))", "filter"),
+        ("    return list(filter(bool, samples))", "filter"),
+        ("    push(np.delete(samples, 1))", "filter"),
+    ],
+)
+def test_data_that_an_assignment_leaves_unread_is_found(body: str, what: str) -> None:
+    source = f"def take(self, samples, block):\n{body}\n"
+    assert what in {each.what for each in drops(source)}, source
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "    rows = []\n    for each in samples:\n        rows.append(each)\n    push(rows)",
+        "    push(self._rows)\n    self._rows = []",
+        "    rows, self._rows = self._rows, []\n    push(rows)",
+        "    few, rest = samples[:9], samples[9:]\n    push(few, rest)",
+        "    few = samples[:9]\n    rest = samples[9:]\n    push(few, rest)",
+        "    for begin in range(0, 9, 3):\n        push(samples[begin : begin + 3])",
+        "    rows = usual()\n    if other:\n        rows = read()\n    push(rows)",
+        "    self._refusals.refuse(CUT)\n    samples = []\n" + HAND_ON,
+    ],
+)
+def test_data_that_goes_on_elsewhere_is_no_drop(body: str) -> None:
+    source = f"def take(self, samples, block):\n{body}\n"
+    assert not [e for e in drops(source) if e.what in ("unread", "part")], source
 
 
 def _statements(source: str) -> list[ast.stmt]:

@@ -130,6 +130,7 @@ def _contents(capture: Capture) -> Iterator[str]:
         groups.setdefault((event.what.value, event.at), []).append(event.bytes)
     for (what, at), packets in groups.items():
         size = sum(map(len, packets))
+        # nothing is dropped: a draft shows the first bytes of each kind
         first = _first_bytes(next(filter(None, packets), b""))
         yield f"    {what} {at}".rstrip() + f": {len(packets)} times, {size} bytes; {first}"
     yield "The device's own clock is included unchanged, and may reveal date and time."

@@ -125,6 +125,7 @@ class Redaction:
             by_stream.setdefault((event.link, event.at, event.what), []).append(event.bytes)
             if event.seen is not None:
                 text += event.seen.model_dump_json(exclude={"services"})
+        # nothing is dropped: each length of a header is tried
         joined = [
             b"".join(packet[header:] for packet in packets)
             for packets in by_stream.values()

@@ -106,6 +106,7 @@ class EvenStamps:
         self._is_held = bool(is_odd.any())
         end = int(np.argmax(is_odd)) if self._is_held else len(stamps)
         begin, self._passed = self._passed, max(self._passed, end - 1)
+        # nothing is dropped: the first of them have passed, the last one waits
         return stamps[begin : self._passed], values[begin : self._passed]
 
     def finish(self, channels: int) -> tuple[Array, Array]:

@@ -92,6 +92,7 @@ def averaged(values: Array, rate: float, wanted_hz: float) -> tuple[Array, float
     """Return means of neighbouring samples, and their rate, from `wanted_hz` to twice that."""
     factor = max(1, int(rate // wanted_hz))
     whole = len(values) // factor * factor
+    # nothing is dropped: an estimate of noise needs no part of a mean
     return values[:whole].reshape(-1, factor).mean(axis=1), rate / factor
 
 
@@ -110,6 +111,7 @@ def _weakness(values: Array, rate: float) -> float:
 def _spans(values: Array, rate: float, block_s: float) -> tuple[Array, float]:
     """Return the spans of blocks, and their median."""
     length = min(len(values), max(1, round(block_s * rate)))
+    # nothing is dropped: an estimate needs no part of a span
     spans = np.ptp(values[: len(values) // length * length].reshape(-1, length), axis=1)
     return spans, float(np.median(spans))
 

@@ -33,6 +33,7 @@ from biosensor_gateway.settings.models import (
     MarkerSettings,
     PowerSettings,
 )
+from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 
 Models = Mapping[str, type[DeviceSettings]]
 """Settings model of each known sensor, by sensor name."""
@@ -225,7 +226,10 @@ def write_template(path: Path, device_models: Mapping[str, type[DeviceSettings]]
         # On macOS it is the state folder, too, into which nobody else may look.
         path.parent.mkdir(0o700, parents=True, exist_ok=True)
     except OSError as error:
-        message = f"cannot make the folder {path.parent}: {error.strerror or error}"
+        message = (
+            f"cannot make the folder {path.parent}: {error.strerror or error}; make it writable, "
+            f"or name another file by the environment variable {SETTINGS_VARIABLE}"
+        )
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     try:
         with path.open("x", encoding="utf-8") as file:

@@ -122,8 +122,8 @@ class Received:
 
     def __init__(self, core: CoreFields) -> None:
         self.count = self.missing = 0
-        # nothing is dropped: the page shows the newest only
         # The newest entries of a stream of text, the newest last.
+        # nothing is dropped: the page shows the newest only
         self.texts: deque[Entry] = deque(maxlen=TEXTS_KEPT)
         self.begin(core)
 
@@ -131,6 +131,7 @@ class Received:
         """Begin again with another inlet; samples in between are unknown."""
         self.newest_s: float | None = None
         self.heard_s: float | None = None
+        # nothing is dropped: the page shows the newest only
         self.values: NDArray[np.float64] = np.empty(0)
         self.raw = b""
         self.placer = Placer(is_ours=is_ours)

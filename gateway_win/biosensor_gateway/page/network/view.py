@@ -209,6 +209,7 @@ def _window(stream: NetworkStream, first: int, *, is_fresh: bool) -> WindowView:
     end = min(first + DRAWN_CHANNELS, stream.core.channel_count)
     labels = header.labels[first:end] if header else ()
     units = header.units[first:end] if header else ()
+    # nothing is dropped: the page has a window of channels
     newest = values[first:end] if is_fresh else np.empty(0)
     numbers = range(first + 1, end + 1)
     names = [readable(each, MAX_LABEL) for each in labels] or [""] * len(numbers)

@@ -152,6 +152,7 @@ class Stamping:
             return now - np.rint(ages_s * NS_PER_S).astype(np.int64)
         # One conversion for all, because the offset may change from one to the next.
         offsets = np.rint((stamps - stamps[0]) * NS_PER_S).astype(np.int64)
+        # nothing is dropped: the others follow the first
         return self.to_ns(stamps[:1]) + offsets
 
 
