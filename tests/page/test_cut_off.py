@@ -106,7 +106,7 @@ def test_the_panel_explains_what_was_found(
     expect(panel.get_by_role("heading", name="Streams of other programs")).to_be_visible()
     found = panel.get_by_role("listitem").filter(has_text="the file breaks off")
     found.get_by_text("What it means, and what to do").click()
-    expect(found).to_contain_text("Run xdf salvage and use")
+    expect(found).to_contain_text("Click Salvage it and use")
     folder = panel.get_by_label("Folder")
     assert folder.evaluate("each => each.scrollWidth <= each.clientWidth")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -12,12 +13,19 @@ from typing import Any
 import pytest
 
 import biosensor_gateway.page
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.page.models import explained
 from biosensor_gateway.page.routes import files as page_files
 from biosensor_gateway.page.share import view_of
+from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export import exporting
+from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
+from biosensor_gateway.recording.xdf.findings import Finding, Level
 from tests.page.test_whose import Page
+from tests.recording_export import odd_shapes
 from tests.replay import files
 from tests.xdf import xdf_file as made
+from tests.xdf.own_streams import own_header
 
 TEXTS = ["begin", "end"]
 
@@ -192,3 +200,77 @@ async def test_who_only_looks_on_has_none_of_it(page: Page, method: str, path: s
         sent.clear()
         await view(scope, receive, send)
         assert sent[0]["status"] == expected
+
+
+# Whoever clicks has no options, so nothing that the page says names one without its command.
+
+OPTION = re.compile(r"(?<!\w)--[a-z]")
+
+
+def _sentences(told: object) -> list[str]:
+    return re.findall(r'"((?:[^"\\]|\\.)*)"', json.dumps(told, ensure_ascii=False))
+
+
+def test_no_explanation_of_a_finding_names_an_option_alone() -> None:
+    for code in EXPLANATIONS:
+        told = explained(Finding(Level.ERROR, code, "", "a sentence"))
+        for text in (told.means, told.to_do):
+            assert "xdf salvage" not in text, text
+            assert not OPTION.search(text) or "the command `" in text, text
+
+
+@pytest.mark.parametrize("shape", odd_shapes.files())
+async def test_nothing_that_is_said_of_a_file_names_an_option_alone(
+    shape: str, page: Page, tmp_path: Path
+) -> None:
+    name, data = odd_shapes.files()[shape]
+    path = tmp_path / "study" / f"P07_{name}"
+    path.parent.mkdir()
+    path.write_bytes(data)
+    told: list[object] = []
+    for what in ("check", "salvage", "salvage"):
+        body = json.dumps({"path": str(path)}).encode()
+        told.append((await page.answer("POST", f"recordings/{what}", body))[1])
+    formats = ["csv", "edf", "kubios"]
+    told += [await exported(page, path=str(path), formats=formats) for _ in range(2)]
+    for text in _sentences(told):
+        assert not OPTION.search(text) or "the command `" in text, text
+        assert "biosensor-gateway xdf salvage" not in text, text
+        assert "biosensor-gateway xdf check" not in text, text
+
+
+async def test_the_right_participant_is_chosen_on_the_page(page: Page, tmp_path: Path) -> None:
+    path = tmp_path / "sub-P08_task-rest_eeg.xdf"
+    path.write_bytes(
+        made.xdf(
+            own_header(1, DeviceIdentity("polar_h10", "A", "P07"), "ecg"),
+            made.samples(1, "float32", [[1.0]] * 3, [1.0, 2, 3]),
+        )
+    )
+    undecided = await exported(page, path=str(path), formats=["csv"])
+    (said,) = (each for each in undecided["done"][0]["said"] if "Participant" in each)
+    assert "choose under *Participant* which is right" in said
+    for whose in ("sensors", "name"):
+        folder = tmp_path / whose
+        folder.mkdir()
+        view = await exported(
+            page, path=str(path), formats=["csv"], output=str(folder), whose=whose
+        )
+        assert view["done"][0]["is_written"]
+        assert not any("Participant" in each for each in view["done"][0]["said"])
+
+
+async def test_headers_that_are_lost_are_taken_from_another_recording(
+    page: Page, tmp_path: Path
+) -> None:
+    whole = files.write(tmp_path / "whole.xdf", files.regular(1, "Wave", 50.0, 5.0))
+    content = whole.read_bytes()
+    broken = tmp_path / "broken.xdf"
+    at = content.index(b"<info>", content.index(b"<info>") + 1)
+    broken.write_bytes(content[:at] + b"\0" * 40 + content[at + 40 :])
+    body = {"path": str(broken), "header_from": str(whole)}
+    code, told = await page.answer("POST", "recordings/salvage", json.dumps(body).encode())
+    assert code == 200, told
+    with open_contents(Path(told["written"])) as contents:
+        (stream,) = contents.streams
+        assert (stream.header.name, stream.sample_count) == ("Wave", 250)

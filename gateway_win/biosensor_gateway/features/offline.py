@@ -31,6 +31,7 @@ from biosensor_gateway.features.sources import (
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import (
     has_uneven_stamps,
+    one_rate_each,
     open_contents,
     with_true_rates,
 )
@@ -75,7 +76,7 @@ def compute(path: Path, target: Path) -> Computed:
     """
     with open_contents(path) as contents:
         rated, remarks = with_true_rates(contents.streams)
-        pairs, refused, doubled = _sources(_in_parts(contents.streams, rated))
+        pairs, refused, doubled = _sources(_in_parts(one_rate_each(contents.streams), rated))
         if not any(source.features for _, source in pairs):
             why = "; ".join(refused) or "it has no stream of a type for which there are features"
             why += "".join(f"; {each}" for each in remarks) + contents.why_incomplete
@@ -216,6 +217,7 @@ def _computed(
     stream: Stream, source: Source, witnesses: Witnesses, remarks: list[str]
 ) -> Iterator[tuple[Samples, list[Event]]]:
     # A copy, because the computer of a witness would replace the one of the whole recording.
+    source = replace(source, header=replace(source.header, rate=stream.meaning.rate))
     computer = source.new_computer(dict(witnesses), is_uneven=has_uneven_stamps(stream))
     samples: Samples | None = None
     for samples in stream.blocks():

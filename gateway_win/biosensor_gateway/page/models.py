@@ -13,6 +13,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
+from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import Finding, by_event
 
@@ -390,9 +391,9 @@ def _explained(finding: Finding) -> ExplainedFinding:
     return ExplainedFinding(
         level=finding.level.value,
         about=finding.about.value,
-        text=f"{finding.stream}: {finding.text}" if finding.stream else finding.text,
-        means=known.means if known else "",
-        to_do=known.to_do if known else "",
+        text=clicked(f"{finding.stream}: {finding.text}" if finding.stream else finding.text),
+        means=clicked(known.means) if known else "",
+        to_do=clicked(known.to_do) if known else "",
     )
 
 

@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError, TransportReason
 from biosensor_gateway.page.models import Choice, Problem
 from biosensor_gateway.page.static_files import PREFIX
+from biosensor_gateway.page.wording import clicked
 
 _CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
 
@@ -79,5 +80,7 @@ async def _refused(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, GatewayError)
     reason = error.reason
     code = _CODES.get(reason, 400) if isinstance(reason, ConfigReason | TransportReason) else 400
-    problem = error.problem if isinstance(error, QuestionError) else Problem(problem=str(error))
+    problem = (
+        error.problem if isinstance(error, QuestionError) else Problem(problem=clicked(str(error)))
+    )
     return JSONResponse(problem.model_dump(), code)

@@ -20,6 +20,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText, all_explained
 from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.exporter import FORMATS, Progress
@@ -32,6 +33,7 @@ from biosensor_gateway.recording.export.exporting import (
 )
 from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.outcome import sentences
+from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf import verdict as judging
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.recording import read_recording
@@ -79,11 +81,30 @@ class Salvaged(BaseModel):
     said: list[str]
 
 
+class ToSalvage(RecordingPath):
+    """A recording to salvage.
+
+    Attributes
+    ----------
+    header_from
+        Another recording of the same streams, in place of headers that are lost; may be empty.
+    """
+
+    header_from: PathText = ""
+
+
 class NewExport(RecordingPath):
-    """A recording to export, or a folder of recordings; without `output`, next to them."""
+    """A recording to export, or a folder of recordings; without `output`, next to them.
+
+    Attributes
+    ----------
+    whose
+        Which participant is right, that of the file name or of the sensors; None if undecided.
+    """
 
     formats: Annotated[list[str], Field(min_length=1, max_length=len(FORMATS))]
     output: PathText = ""
+    whose: Annotated[Whose | None, Field(strict=False)] = None
 
 
 class ExportedView(BaseModel):
@@ -161,7 +182,7 @@ class Exports:
         said = [f"{each} is left out, because it was salvaged next to it" for each in left_out]
         self._is_unwanted = False
         self.view = ExportView(is_running=True, count=len(recordings), said=said)
-        task = Task(wanted.formats, Selection(), output=output)
+        task = Task(wanted.formats, Selection(), output=output, whose=wanted.whose)
         self._task = asyncio.create_task(self._run(recordings, task))
         self._task.add_done_callback(self._note_end)
 
@@ -173,7 +194,7 @@ class Exports:
         try:
             await asyncio.to_thread(self._export, recordings, task)
         except (GatewayError, OSError) as error:
-            self.view.problem = str(error)
+            self.view.problem = clicked(str(error))
 
     def _note_end(self, task: asyncio.Task[None]) -> None:
         """Report an unexpected failure, so that the export does not look complete."""
@@ -216,9 +237,10 @@ def add_files(router: APIRouter, session: Session) -> None:
         return await asyncio.to_thread(_judged, whole_path(recording.path), session)
 
     @router.post("/recordings/salvage")
-    async def salvage_it(recording: RecordingPath) -> Salvaged:
+    async def salvage_it(wanted: ToSalvage) -> Salvaged:
         """Write the readable part of a damaged recording to a file next to it."""
-        return await asyncio.to_thread(_salvaged, whole_path(recording.path))
+        other = whole_path(wanted.header_from) if wanted.header_from else None
+        return await asyncio.to_thread(_salvaged, whole_path(wanted.path), other)
 
     @router.post("/recordings/open-folder")
     async def show(recording: RecordingPath) -> Outcome:
@@ -279,7 +301,7 @@ def _judged(path: Path, session: Session) -> Judged:
     found = judging.verdict(judge(recording, expected))
     judged = Judged(
         colour=found.colour.value,
-        sentence=found.sentence,
+        sentence=clicked(found.sentence),
         findings=all_explained(found.findings),
         can_be_salvaged=found.can_be_salvaged,
     )
@@ -291,12 +313,12 @@ def _judged(path: Path, session: Session) -> Judged:
             judged.markers = [RecordedMarker(time_s=t - begin_s, text=text) for t, text in first]
             judged.marker_count = len(first) + sum(1 for _ in every)
     except GatewayError as error:
-        judged.unread = str(error)
+        judged.unread = clicked(str(error))
     return judged
 
 
-def _salvaged(path: Path) -> Salvaged:
-    outcome = salvage(path, salvaged_path(path))
+def _salvaged(path: Path, other: Path | None) -> Salvaged:
+    outcome = salvage(path, salvaged_path(path), other)
     said = list(salvage_outcome.before_table(outcome))
     if outcome.written is not None:
         rows = salvage_outcome.table(outcome)
@@ -306,7 +328,7 @@ def _salvaged(path: Path) -> Salvaged:
             for row in rows
         ]
         said += salvage_outcome.after_table(outcome)
-    return Salvaged(written=str(outcome.written or ""), said=said)
+    return Salvaged(written=str(outcome.written or ""), said=[clicked(each) for each in said])
 
 
 def _exported(one: Exported) -> ExportedView:
@@ -320,5 +342,5 @@ def _exported(one: Exported) -> ExportedView:
         recording=one.recording.name,
         is_written=not one.error,
         is_certain=one.is_certain,
-        said=said,
+        said=[clicked(each) for each in said],
     )

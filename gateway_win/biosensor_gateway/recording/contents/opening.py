@@ -15,8 +15,11 @@ from biosensor_gateway.recording.xdf.container import Damage, open_recording, re
 from biosensor_gateway.recording.xdf.event_rules import other_agent_told
 from biosensor_gateway.recording.xdf.measuring import first_of, is_exact, may_have_rate
 from biosensor_gateway.recording.xdf.pace import Pace, find_pace, rate_of
+from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, RateChange
 from biosensor_gateway.recording.xdf.recording import StreamSorter
 from biosensor_gateway.recording.xdf.stream_rules import MIN_SAMPLES_FOR_RATE, WRONG_RATE
+
+_MOST_RATES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +159,8 @@ def with_rates(
 ) -> tuple[tuple[Stream, ...], list[str]]:
     """Return the streams with rates for those whose header has none, and a note for each.
 
+    A stream whose rate changes becomes one for each rate.
+
     Parameters
     ----------
     wanted
@@ -163,8 +168,10 @@ def with_rates(
         ``?``.
     """
     found: list[Stream] = []
-    notes: list[str] = []
-    for stream in streams:
+    notes = [
+        f"{each.header.title}: {why}" for each in streams if (why := rates_told(each.rate_changes))
+    ]
+    for stream in one_rate_each(streams):
         name = stream.header.title
         known = [hz for fit, hz in wanted.items() if _fits(stream, fit)]
         rate_hz = known[0] if known else estimated_rate(stream)
@@ -185,6 +192,28 @@ def with_rates(
         if not any(_fits(each, fit) for each in without)
     ]
     return tuple(found), notes
+
+
+def one_rate_each(streams: Sequence[Stream]) -> tuple[Stream, ...]:
+    """Return the streams, with one for each rate in place of a stream whose rate changes."""
+    found: list[Stream] = []
+    number = max((each.number for each in streams), default=0)
+    for stream in streams:
+        parts = stream.parts(number + 1)
+        number += len(parts) - 1
+        found += parts
+    return tuple(found)
+
+
+def rates_told(changes: Sequence[RateChange]) -> str:
+    """Say what becomes of a stream whose rate changes; empty if it does not."""
+    if not changes:
+        return ""
+    rates = [f"{changes[0].before_hz:.4g}", *(f"{each.after_hz:.4g}" for each in changes)]
+    if len(changes) > MOST_CHANGES:
+        return f"its rate changes {len(changes)} times, so its times of a line are wrong"
+    told = ", then ".join(rates[:_MOST_RATES]) + ", ..." * (len(rates) > _MOST_RATES)
+    return f"its rate changes: {told} Hz; each part with one rate stands by itself"
 
 
 def _fits(stream: Stream, pattern: str) -> bool:

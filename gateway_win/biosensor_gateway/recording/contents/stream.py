@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from array import array
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import compress, pairwise
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -31,8 +33,10 @@ from biosensor_gateway.recording.xdf.measuring import (
     off_in_part,
     order_error,
 )
+from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, Curve, RateChange
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf.stream_rules import ODD_RATE
 
 
 class Place(NamedTuple):
@@ -46,6 +50,7 @@ class Place(NamedTuple):
     first: float
     last: float
     offsets_before: int  # Number of clock offsets of the stream before it in the file.
+    samples_before: int  # Number of its samples before it.
 
 
 @dataclass(slots=True)
@@ -66,6 +71,7 @@ class IndexedStream:
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
     _last: float = 0.0
+    _curve: Curve = field(default_factory=Curve)
 
     def take_samples(self, chunk: Chunk) -> None:
         """Add the samples of a chunk to the index.
@@ -80,8 +86,10 @@ class IndexedStream:
             return
         first, last = float(block.stamps[0]), float(block.stamps[-1])
         start = chunk.end - len(chunk.content) + STREAM_ID_BYTES
-        self._bounds.extend((start, chunk.end, len(self.clock_offsets)))
+        self._bounds.extend((start, chunk.end, len(self.clock_offsets), self.sample_count))
         self._stamps.extend((self._last, first, last))
+        if self.header.is_regular:
+            self._curve.add(block.stamps)
         self._last = last
         self.sample_count += len(block.stamps)
         self.guessed_texts += block.guessed
@@ -101,15 +109,47 @@ class IndexedStream:
     @property
     def byte_count(self) -> int:
         """Size of its samples and timestamps in the file, in bytes."""
-        return sum(self._bounds[1::3]) - sum(self._bounds[0::3])
+        return sum(self._bounds[1::4]) - sum(self._bounds[0::4])
 
     def places(self) -> Iterator[Place]:
         """Yield the index entries of all chunks of samples, in the order of the file."""
-        bounds, stamps = self._bounds, self._stamps
-        for at in range(0, len(bounds), 3):
-            start, end, offsets_before = bounds[at : at + 3]
-            before, first, last = stamps[at : at + 3]
-            yield Place(start, end, before, first, last, offsets_before)
+        stamps = self._stamps
+        for at in range(len(self._bounds) // 4):
+            start, end, offsets_before, samples_before = self._bounds[4 * at : 4 * at + 4]
+            before, first, last = stamps[3 * at : 3 * at + 3]
+            yield Place(start, end, before, first, last, offsets_before, samples_before)
+
+    def part(self, begin: int, end: int, first: float, last: float) -> IndexedStream:
+        """Return the index of the samples from `begin` to before `end`, with these timestamps."""
+        is_in = self._has(begin, end)
+        bounds = np.array(self._bounds).reshape(-1, 4)[is_in]
+        stamps = np.array(self._stamps).reshape(-1, 3)[is_in]
+        stamps[0, 1], stamps[-1, 2] = first, last
+        return replace(
+            self,
+            sample_count=end - begin,
+            _bounds=array("q", bounds.ravel().tolist()),
+            _stamps=array("d", stamps.ravel().tolist()),
+        )
+
+    def rate_changes(self, file: BinaryIO) -> tuple[RateChange, ...]:
+        """Return where its rate changes."""
+        return self._curve.changes(self.header, partial(self.stamps, file))
+
+    def stamps(self, file: BinaryIO, begin: int, end: int) -> NDArray[np.float64]:
+        """Read the timestamps from index `begin` to before `end`."""
+        some = [np.empty(0)]
+        for place in compress(self.places(), self._has(begin, end).tolist()):
+            at = place.samples_before
+            some.append(self.read(file, place).stamps[max(0, begin - at) : end - at])
+        return np.concatenate(some)
+
+    def _has(self, begin: int, end: int) -> NDArray[np.bool_]:
+        """Return which chunks have samples from index `begin` to before `end`."""
+        firsts = np.array(self._bounds[3::4])
+        behind = np.append(firsts[1:], self.sample_count)
+        is_in: NDArray[np.bool_] = (behind > begin) & (firsts < end)
+        return is_in
 
     def end_stamps(self) -> NDArray[np.float64]:
         """Return the first and last timestamp of each chunk, shape (n_chunks, 2), in s."""
@@ -171,6 +211,7 @@ class Stream:
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
         self._file = file
         self._indexed = indexed
+        self._span = 0, sys.maxsize
         self.number = number
         self.header: RecordedHeader = indexed.header  # As recorded.
         # Identity, labels, units and roles from the header; for another program's stream, as the
@@ -201,9 +242,42 @@ class Stream:
         other = copy(self)
         other.header = replace(self.header, rate=rate_hz)
         other.meaning = replace(self.meaning, rate=rate_hz)
-        for cached in ("clock_error", "order_error", "part_error"):
+        for cached in ("clock_error", "order_error", "part_error", "rate_changes", "_course"):
             other.__dict__.pop(cached, None)
         return other
+
+    @cached_property
+    def rate_changes(self) -> tuple[RateChange, ...]:
+        """Where its rate changes for good, as in `xdf check`."""
+        return () if self.order_error else self._indexed.rate_changes(self._file)
+
+    def parts(self, number: int) -> list[Stream]:
+        """Return a stream for each rate that it has; itself if its rate does not change.
+
+        Parameters
+        ----------
+        number
+            Of the second of them; the others follow.
+        """
+        changes = self.rate_changes
+        if not 0 < len(changes) <= MOST_CHANGES:
+            return [self]
+        bounds = [0, *(each.at for each in changes), self.sample_count]
+        rates_hz = [changes[0].before_hz, *(each.after_hz for each in changes)]
+        found: list[Stream] = []
+        for (begin, end), rate_hz in zip(pairwise(bounds), rates_hz, strict=True):
+            first, last = (
+                float(self._indexed.stamps(self._file, at, at + 1)[0]) for at in (begin, end - 1)
+            )
+            is_usual = abs(rate_hz / self.header.rate - 1) < ODD_RATE
+            part = self.with_rate(self.header.rate if is_usual else rate_hz)
+            indexed = self._indexed.part(begin, end, first, last)
+            part.__dict__ |= {"_indexed": indexed, "_span": (begin, end), "rate_changes": ()}
+            part.sample_count, part.byte_count = end - begin, indexed.byte_count
+            if found:
+                part.number, part.untimed = number + len(found) - 1, 0
+            found.append(part)
+        return found
 
     def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
         """Yield the samples from `begin_s` to before `end_s`, chunk by chunk.
@@ -224,7 +298,7 @@ class Stream:
         for place in self._indexed.places():
             if not is_all and self._is_outside(place, begin_s, end_s):
                 continue
-            block = self._indexed.read(self._file, place)
+            block = self._read(place)
             times = self.clock.to_recorder(block.stamps, place.offsets_before)
             is_wanted = np.isfinite(times)
             if not is_all:
@@ -232,6 +306,13 @@ class Stream:
             samples = Samples(times, block.stamps, block.values).picked(is_wanted)
             if len(samples):
                 yield samples
+
+    def _read(self, place: Place) -> Block:
+        block = self._indexed.read(self._file, place)
+        begin, end = (max(0, at - place.samples_before) for at in self._span)
+        if begin == 0 and end >= len(block.stamps):
+            return block
+        return Block(block.stamps[begin:end], block.values[begin:end])
 
     @cached_property
     def clock_error(self) -> str:

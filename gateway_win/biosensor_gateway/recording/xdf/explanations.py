@@ -264,6 +264,13 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Analyses that use the rate in the header get wrong times and frequencies.",
         "Use the measured rate, as exports do.",
     ),
+    "rate-change": Explanation(
+        "The rate changes during the recording",
+        "Samples come at another rate from that time on. Loaders that use one rate for the whole "
+        "stream give wrong times.",
+        "EDF, Kubios, BIDS and features have a file or part for each rate; otherwise analyse the "
+        "time before and after separately.",
+    ),
     "no-offsets": Explanation(
         "Clock offsets were not measured",
         "This does not matter for streams of the recording computer, but streams of other "

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from biosensor_gateway.recording.xdf.pace import (
     rate_of,
     section_of,
 )
+from biosensor_gateway.recording.xdf.rate_changes import RateChange
 from biosensor_gateway.recording.xdf.recording import RecordedStream
 from biosensor_gateway.recording.xdf.sender_clock import Offset, is_reading, runs_of
 
@@ -104,6 +106,7 @@ class Figures:
     furthest_back_s: float = 0.0  # Largest of these steps back.
     part_error: str = ""
     """How many timestamps are not on the LSL clock, where others are; empty if none."""
+    rate_changes: tuple[RateChange, ...] = ()
 
     @property
     def span_s(self) -> float:
@@ -129,12 +132,15 @@ def _measure(stream: RecordedStream) -> Figures:
     if found_hz is not None:
         header = replace(header, rate=found_hz)
     is_ordered = not order_error(header, own, own.count)
-    stray: Sequence[int] = ()
+    changes = stream.rate_changes if is_ordered else ()
+    parts = _parts(header, changes)
     pace = None
     if header.is_regular and not is_exact(header) and is_ordered:
-        cuts = cuts_of(blocks(), header)
-        pace = None if cuts is None else cuts.pace
-        stray = () if pace is None else pace.stray
+        given = _cut(blocks(), [begin for begin, _ in parts])
+        cuts = [cuts_of(some, part) for (_, part), some in zip(parts, given, strict=True)]
+        paces = {begin: each.pace for (begin, _), each in zip(parts, cuts, strict=True) if each}
+        pace = _joined_paces(paces, stream.sample_count)
+    stray = () if pace is None else pace.stray
     part_error = ""
     if not clock.resets:
         part_error = off_in_part(header, offsets, (own.first, own.last), stream.stamps_in_blocks)
@@ -145,7 +151,9 @@ def _measure(stream: RecordedStream) -> Figures:
         gaps, rate_between_gaps_hz = _gaps_of(pace), 1.0 / pace.period_s
         backward_steps, furthest_back_s = pace.odd_steps_back, pace.furthest_back_s
     elif is_ordered:
-        gaps = find_gaps(blocks(), header)
+        given = _cut(blocks(), [begin for begin, _ in parts])
+        for (_, part), some in zip(parts, given, strict=True):
+            gaps = joined(gaps, find_gaps(some, part))
         rate_between_gaps_hz = _rate_between_gaps(course, gaps, header)
         backward_steps, furthest_back_s = course.back, course.furthest_back_s
     held = stream.sample_count
@@ -164,6 +172,64 @@ def _measure(stream: RecordedStream) -> Figures:
         found_hz=found_hz,
         furthest_back_s=furthest_back_s,
         part_error=part_error,
+        rate_changes=changes,
+    )
+
+
+def _parts(
+    header: RecordedHeader, changes: Sequence[RateChange]
+) -> list[tuple[int, RecordedHeader]]:
+    """Return where each part with one rate begins, and the header as if it named that rate."""
+    if not changes:
+        return [(0, header)]
+    rates_hz = [changes[0].before_hz, *(each.after_hz for each in changes)]
+    begins = [0, *(each.at for each in changes)]
+    return [
+        (begin, replace(header, rate=rate_hz))
+        for begin, rate_hz in zip(begins, rates_hz, strict=True)
+    ]
+
+
+def _cut(
+    blocks: Iterable[NDArray[np.float64]], begins: Sequence[int]
+) -> Iterator[Iterator[NDArray[np.float64]]]:
+    """Yield the blocks of each part; use one completely before the next."""
+    waiting, left = iter(blocks), list[NDArray[np.float64]]()
+
+    def of(count: float) -> Iterator[NDArray[np.float64]]:
+        while count > 0:
+            stamps = left.pop() if left else next(waiting, None)
+            if stamps is None:
+                return
+            if len(stamps) > count:
+                left.append(stamps[int(count) :])
+                stamps = stamps[: int(count)]
+            count -= len(stamps)
+            yield stamps
+
+    for begin, end in pairwise([*begins, math.inf]):
+        yield of(end - begin)
+
+
+def _joined_paces(paces: Mapping[int, Pace | None], count: int) -> Pace | None:
+    """Return the pace of the longest part, with what is odd in any, by the number of the sample."""
+    found = {begin: pace for begin, pace in paces.items() if pace is not None}
+    if len(found) < 2:
+        return next(iter(found.values()), None)
+    lengths = {begin: end - begin for begin, end in pairwise([*found, count])}
+    every = found.items()
+    return replace(
+        found[max(lengths, key=lengths.__getitem__)],
+        overlap_s=max(pace.overlap_s for _, pace in every),
+        holes=tuple(replace(e, at=b + e.at) for b, pace in every for e in pace.holes),
+        turns=tuple(b + each for b, pace in every for each in pace.turns),
+        odd_steps=tuple(b + each for b, pace in every for each in pace.odd_steps),
+        stray=tuple(b + each for b, pace in every for each in pace.stray),
+        standstills=tuple(replace(e, at=b + e.at) for b, pace in every for e in pace.standstills),
+        ends_astray=list(found.values())[-1].ends_astray,
+        furthest_back_s=max(pace.furthest_back_s for _, pace in every),
+        late_first=found[min(found)].late_first,
+        late_first_s=found[min(found)].late_first_s,
     )
 
 

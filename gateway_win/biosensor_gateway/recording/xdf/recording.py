@@ -40,6 +40,7 @@ from biosensor_gateway.recording.xdf.header import (
     parse_footer,
     parse_stream_header,
 )
+from biosensor_gateway.recording.xdf.rate_changes import Curve, RateChange
 from biosensor_gateway.recording.xdf.samples import decode, decode_clock_offset
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
@@ -294,6 +295,14 @@ class RecordedStream:
             for begin in range(first, last, _BLOCK):
                 stamps = self._stamps.read(begin, min(begin + _BLOCK, last))
                 yield clock.to_recorder(stamps, number)
+
+    @property
+    def rate_changes(self) -> tuple[RateChange, ...]:
+        """Where its rate changes for good."""
+        curve = Curve()
+        for stamps in self.stamps_in_blocks() if self.header.is_regular else ():
+            curve.add(stamps)
+        return curve.changes(self.header, self._stamps.read)
 
     @property
     def sample_count(self) -> int:

@@ -11,6 +11,7 @@ from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.pace import Pace
+from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock, is_plausible
 
@@ -232,8 +233,11 @@ def _held_up(length_s: float, at: float) -> Verdict:
     return Level.WARNING, "held-up", f"{text}; {late}"
 
 
-def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+def _rate(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     figures, nominal = measured.figures, measured.stream.header.rate
+    if figures.rate_changes:
+        yield from _rate_changes(measured, extent)
+        return
     rate = figures.rate_between_gaps_hz
     if figures.found_hz is not None:
         text = (
@@ -251,6 +255,21 @@ def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     if error > ODD_RATE:
         level = Level.ERROR if error > WRONG_RATE else Level.WARNING
         yield level, "rate", f"it runs at {rate:.4g} Hz instead of {nominal:.4g} Hz"
+
+
+def _rate_changes(measured: Measured, extent: Extent) -> Iterator[Verdict]:
+    changes = measured.figures.rate_changes
+    if len(changes) > MOST_CHANGES:
+        text = f"its rate changes {len(changes)} times, so its header's rate is of no use"
+        yield Level.ERROR, "rate-change", text
+        return
+    for each in changes:
+        at = extent.since_begin(each.stamp_s, measured)
+        text = (
+            f"from {at:.1f} s on it runs at {each.after_hz:.4g} Hz, before at {each.before_hz:.4g} "
+            "Hz: its sender got other settings, or samples are missing evenly"
+        )
+        yield Level.ERROR, "rate-change", text
 
 
 def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:

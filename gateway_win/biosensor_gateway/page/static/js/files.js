@@ -66,6 +66,7 @@ function Export({ path, isFile }) {
   const [chosen, setChosen] = useState(new Set(["csv"]));
   const [isFolder, setFolder] = useState(false);
   const [output, setOutput] = useState("");
+  const [whose, setWhose] = useState("");
   const [view, setView] = useState(null);
   const [problem, setProblem] = useState("");
   const tell = async (method, content) => {
@@ -94,7 +95,7 @@ function Export({ path, isFile }) {
   const start = (event) => {
     event.preventDefault();
     const place = isFile && isFolder ? path.replace(/[\\/][^\\/]*$/, "") : path;
-    tell("POST", { path: place, formats: [...chosen], output });
+    tell("POST", { path: place, formats: [...chosen], output, whose: whose || null });
   };
   return html`
     <h3 id="export">Export</h3>
@@ -102,6 +103,13 @@ function Export({ path, isFile }) {
       ${formats.map((each) => html`<label class="check"><input type="checkbox" checked=${chosen.has(each)} onChange=${toggle(each)} /> ${MEANT[each] ?? each}</label>`)}
       ${isFile && html`<label class="check"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings in its folder</label>`}
       <label class="wide">Save to this folder<input type="text" size="40" placeholder="next to the recording" value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
+      <label class="wide">Participant, if file name and sensors differ
+        <select value=${whose} onChange=${(event) => setWhose(event.target.value)}>
+          <option value="">not decided</option>
+          <option value="sensors">as the sensors say</option>
+          <option value="name">as the file name says</option>
+        </select>
+      </label>
       <button class="main" disabled=${!path || !chosen.size || view?.is_running}>${view?.is_running ? "Exporting …" : "Export"}</button>
     </form>
     ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
@@ -114,6 +122,7 @@ export function Files({ act, onClose }) {
   const [typed, setTyped] = useState("");
   const [judged, setJudged] = useState(null);
   const [salvaged, setSalvaged] = useState(null);
+  const [headerFrom, setHeaderFrom] = useState("");
   const [doing, setDoing] = useState("");
   const [problem, setProblem] = useState("");
   const path = choice === OTHER ? typed.trim() : choice;
@@ -123,12 +132,12 @@ export function Files({ act, onClose }) {
       setChoice(found[0]?.path ?? OTHER);
     }, (error) => setProblem(error.message));
   }, []);
-  useEffect(() => { setJudged(null); setSalvaged(null); setProblem(""); }, [path]);
-  const look = async (what, take) => {
+  useEffect(() => { setJudged(null); setSalvaged(null); setHeaderFrom(""); setProblem(""); }, [path]);
+  const look = async (what, take, more = {}) => {
     setDoing(what);
     setProblem("");
     try {
-      take(await ask("POST", `/recordings/${what}`, { path }));
+      take(await ask("POST", `/recordings/${what}`, { path, ...more }));
     } catch (error) {
       setProblem(error.message);
     }
@@ -150,8 +159,9 @@ export function Files({ act, onClose }) {
         <div class="buttons">
           <button disabled=${!path || doing !== ""} onClick=${() => look("check", setJudged)}>${doing === "check" ? "Reading …" : "Check it"}</button>
           <button disabled=${!path} onClick=${() => act("POST", "/recordings/open-folder", { path })}>Open folder</button>
-          ${judged?.can_be_salvaged && !salvaged && html`<button disabled=${doing !== ""} onClick=${() => look("salvage", setSalvaged)}>${doing === "salvage" ? "Salvaging …" : "Salvage it"}</button>`}
+          ${judged?.can_be_salvaged && !salvaged && html`<button disabled=${doing !== ""} onClick=${() => look("salvage", setSalvaged, { header_from: headerFrom.trim() })}>${doing === "salvage" ? "Salvaging …" : "Salvage it"}</button>`}
         </div>`}
+      ${judged?.can_be_salvaged && !salvaged && html`<label class="wide">Headers from (the full path of another recording of the same streams, if headers are lost)<input type="text" size="48" placeholder="not needed otherwise" disabled=${doing !== ""} value=${headerFrom} onInput=${(event) => setHeaderFrom(event.target.value)} /></label>`}
       ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
       ${judged && html`<${Judged} judged=${judged} />`}
       ${salvaged && html`<ul class="small" role="status">${salvaged.said.map((each) => html`<li class="file">${each}</li>`)}</ul>`}

@@ -1,0 +1,218 @@
+"""Finds where the rate of a regular stream changes for good, as by other settings of its sender.
+
+A line through all its timestamps would be seconds off, and steps that are twice as long would be
+thousands of gaps. So such a stream is cut into parts of one rate each.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.recording.xdf.header import RecordedHeader
+
+Array = NDArray[np.float64]
+Read = Callable[[int, int], Array]
+"""Returns the timestamps from one index to before another, in the order of the file."""
+
+# A rate that differs by a smaller fraction is that of a clock, or jitter.
+_LEAST = 0.05
+# Neighbouring spans of a constant rate differ by less than this fraction: so many percent of them,
+# or in a short recording, where longer spans are too few, the second.
+_MOST_PERCENT, _ALIKE = (70, 50), _LEAST / 2
+# Number of spans that must have the new rate, and before it the old one; one may be odd.
+_SPANS = 4
+_SHORTEST_S = 1.0
+# Samples that were held up come all at once, at no rate.
+_MOST_AT_ONCE = 10.0
+# Of exact timestamps, nearly all steps are whole periods within this fraction.
+_WHOLE, _NEARLY_ALL, _BY_CHANCE = 0.1, 0.9, 0.05
+_MOST_POINTS = 1 << 14
+MOST_CHANGES = 50
+"""A stream with more changes has no rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class RateChange:
+    """A change of a stream's rate.
+
+    Attributes
+    ----------
+    at
+        Index of the first sample with the new rate; those with a NaN timestamp count, too.
+    stamp_s
+        Its timestamp.
+    """
+
+    at: int
+    stamp_s: float
+    before_hz: float
+    after_hz: float
+
+
+class _Cut(NamedTuple):
+    """A change, by the number of the first span with the new period."""
+
+    at: int
+    before: float
+    after: float
+
+
+class Curve:
+    """Some timestamps of a stream, evenly over its samples, and at most `_MOST_POINTS`."""
+
+    def __init__(self) -> None:
+        self._points = array("d")
+        self._every, self._count = 1, 0
+
+    def add(self, stamps: Array) -> None:
+        """Add the next timestamps, shape (n_samples,)."""
+        first = -self._count % self._every
+        self._count += len(stamps)
+        self._points.frombytes(np.ascontiguousarray(stamps[first :: self._every]).tobytes())
+        while len(self._points) > _MOST_POINTS:
+            self._points = self._points[::2]
+            self._every *= 2
+
+    def changes(self, header: RecordedHeader, read: Read) -> tuple[RateChange, ...]:
+        """Return where the rate changes, in the order of the file.
+
+        Parameters
+        ----------
+        read
+            Gives the timestamps near such a place.
+        """
+        if not header.is_regular or header.is_markers or self._count < 2 * _SPANS:
+            return ()
+        with np.errstate(all="ignore"):
+            length, periods_s = self._spans()
+            found = _without_delays(_cuts(periods_s), periods_s)
+        changes: list[RateChange] = []
+        for at, before_s, after_s in found:
+            begin, end = max(0, (at - 2) * length), min(self._count, (at + 2) * length + 1)
+            stamps = _filled(read(begin, end))
+            place = _corner(stamps, before_s, after_s, max(_SPANS, length / 4))
+            slow = stamps[place:] if after_s > before_s else stamps[:place]
+            if not _is_loss(slow, min(before_s, after_s)):
+                stamp_s = float(stamps[place])
+                changes.append(RateChange(begin + place, stamp_s, 1 / before_s, 1 / after_s))
+        return tuple(changes)
+
+    def _spans(self) -> tuple[int, Array]:
+        """Return the length of spans in samples, and the sample period in each.
+
+        Spans are so long that most are alike; there is none if they never are.
+        """
+        points = _filled(np.array(self._points))
+        # Samples of a burst have one timestamp.
+        lag = max(1, len(points) // 16)
+        usual_s = float(np.median(points[lag:] - points[:-lag])) / lag
+        least = max(1, math.ceil(_SHORTEST_S / usual_s)) if usual_s > 0 else 1
+        longest = (len(points) // (2 * _SPANS * least)).bit_length()
+        for percent in _MOST_PERCENT:
+            for count in (least << doubled for doubled in range(longest)):
+                periods_s = np.diff(points[::count]) / (count * self._every)
+                moves = np.abs(np.diff(np.log(periods_s)))
+                # A NaN is of a period that is not positive.
+                if np.percentile(np.where(np.isnan(moves), np.inf, moves), percent) < _ALIKE:
+                    return count * self._every, periods_s
+        return 0, np.empty(0)
+
+
+def _filled(stamps: Array) -> Array:
+    """Return timestamps in which those that are not numbers are interpolated."""
+    is_number = np.isfinite(stamps)
+    if is_number.all() or not is_number.any():
+        return stamps
+    place = np.arange(len(stamps))
+    return np.interp(place, place[is_number], stamps[is_number])
+
+
+def _cuts(periods: Array) -> list[_Cut]:
+    """Return where all periods but one are longer than all but one before, or shorter."""
+    if len(periods) < 2 * _SPANS:
+        return []
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(periods, _SPANS), axis=1)
+    before, after = windows[:-_SPANS], windows[_SPANS:]
+    is_change = (after[:, 1] > (1 + _LEAST) * before[:, -2]) & (before[:, 1] > 0)
+    is_change |= (before[:, 1] > (1 + _LEAST) * after[:, -2]) & (after[:, 1] > 0)
+    # The place is the one at which the periods on either side differ least from each other.
+    uneven = (before[:, -1] - before[:, 0]) / before[:, -1]
+    uneven += (after[:, -1] - after[:, 0]) / after[:, -1]
+    places = np.flatnonzero(is_change)
+    groups = np.split(places, np.flatnonzero(np.diff(places) > _SPANS) + 1) if len(places) else []
+    cuts = [int(each[np.argmin(uneven[each])]) + _SPANS for each in groups]
+    return _told(cuts, periods)
+
+
+def _told(cuts: Sequence[int], periods: Array) -> list[_Cut]:
+    """Return the cuts with the periods on either side, without those that are no change."""
+    bounds = [0, *cuts, len(periods)]
+    # The spans beside a change have some samples of either rate.
+    inner = [
+        (begin + (end - begin > 2), end - (end - begin > 2)) for begin, end in pairwise(bounds)
+    ]
+    usual = [_usual(periods[begin:end]) for begin, end in inner]
+    found = [_Cut(*each) for each in zip(cuts, usual[:-1], usual[1:], strict=True)]
+    kept = [each.at for each in found if abs(math.log(each.after / each.before)) > _LEAST]
+    return found if len(kept) == len(found) else _told(kept, periods)
+
+
+def _usual(periods: Array) -> float:
+    """Return the mean period without those of spans with gaps."""
+    middle = float(np.median(periods))
+    return float(periods[np.abs(periods - middle) <= middle / 4].mean())
+
+
+def _without_delays(cuts: list[_Cut], periods: Array) -> list[_Cut]:
+    """Return the cuts without samples that came late, and then all at once."""
+    bounds = [*(each.at for each in cuts), len(periods)]
+    for number, (cut, end) in enumerate(zip(cuts, bounds[1:], strict=True)):
+        # Behind them, the stamps are where they would be without.
+        begin = max(0, cut.at - 2)
+        away = float(periods[begin:end].sum()) / cut.before - (end - begin)
+        is_late = cut.after < cut.before and abs(away) < 1
+        if is_late or cut.after < cut.before / _MOST_AT_ONCE:
+            left = [each.at for at, each in enumerate(cuts) if at not in (number, number + 1)]
+            return _without_delays(_told(left, periods), periods)
+    return cuts
+
+
+def _corner(stamps: Array, before_s: float, after_s: float, samples: float) -> int:
+    """Return the index of the first sample with the new period.
+
+    Parameters
+    ----------
+    samples
+        A step longer than so many of them is a gap.
+    """
+    most_s = samples * max(before_s, after_s)
+    steps = np.clip(np.diff(stamps), -most_s, most_s) - (before_s + after_s) / 2
+    # Up to there each step lowers the sum, and from there on raises it.
+    total = np.concatenate([[0.0], np.cumsum(steps if after_s > before_s else -steps)])
+    return min(int(np.argmin(total)) + 1, len(stamps) - 1)
+
+
+def _is_loss(stamps: Array, fast_s: float) -> bool:
+    """Whether timestamps at the lower rate are those of the other one, of which many are missing.
+
+    If they are exact, most steps are as long as before, or each is one period or more by chance.
+    """
+    steps = np.diff(stamps)
+    if not len(steps) or (least_s := float(np.percentile(steps, 20))) <= 0:
+        return False
+    periods = np.rint(steps / least_s)
+    is_whole = np.abs(steps / least_s - periods) < _WHOLE * periods
+    is_by_chance = np.count_nonzero(is_whole) > _NEARLY_ALL * len(steps) and np.count_nonzero(
+        periods > 1
+    ) > _BY_CHANCE * len(steps)
+    has_gaps = float(np.mean(steps)) > (1 + 3 * _WHOLE) * fast_s
+    is_usual = abs(float(np.median(steps)) / fast_s - 1) < _WHOLE
+    return bool(is_by_chance or (has_gaps and is_usual))
