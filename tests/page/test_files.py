@@ -14,7 +14,7 @@ import pytest
 
 import biosensor_gateway.page
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.page.models import explained
+from biosensor_gateway.page.models import all_explained
 from biosensor_gateway.page.routes import files as page_files
 from biosensor_gateway.page.share import view_of
 from biosensor_gateway.recording.contents.opening import open_contents
@@ -213,7 +213,7 @@ def _sentences(told: object) -> list[str]:
 
 def test_no_explanation_of_a_finding_names_an_option_alone() -> None:
     for code in EXPLANATIONS:
-        told = explained(Finding(Level.ERROR, code, "", "a sentence"))
+        (told,) = all_explained([Finding(Level.ERROR, code, "", "a sentence")])
         for text in (told.means, told.to_do):
             assert "xdf salvage" not in text, text
             assert not OPTION.search(text) or "the command `" in text, text

@@ -381,7 +381,9 @@ def sentence(finding: Finding) -> str:
 def all_explained(findings: Sequence[Finding]) -> list[ExplainedFinding]:
     """Return findings with their explanations, each with its consequences."""
     return [
-        _explained(each).model_copy(update={"consequences": list(map(sentence, consequences))})
+        _explained(each).model_copy(
+            update={"consequences": [clicked(sentence(one)) for one in consequences]}
+        )
         for each, consequences in by_event(findings)
     ]
 
