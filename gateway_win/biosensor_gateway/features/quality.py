@@ -453,9 +453,9 @@ class Quality:
         piece = max(1, round(at.QUALITY_EVERY_S * rate))
         self._hops = Hops(piece)
         self._window_s = at.QUALITY_WINDOW_S[content_type]
-        # nothing is dropped: what a window slides over
         self._least_pieces = max(1, round(self._window_s * rate / piece))
         before_s = at.EDA_BEFORE_FALL_S if content_type == "GSR" else 0.0
+        # nothing is dropped: what a window slides over
         self._pieces: deque[Array] = deque(
             maxlen=self._least_pieces + round(before_s * rate / piece)
         )
