@@ -9,6 +9,7 @@ import random
 import socket
 import stat
 from collections.abc import AsyncGenerator, Callable, Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from biosensor_gateway.agent.control import CONTROL_FILE, ask
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.single_instance import LOCK_FILE, single_instance
 from biosensor_gateway.transports.link import Early
+from tests.rigs.polling import until
 
 # The control channel: what is asked reaches the agent, whatever else arrives is refused.
 
@@ -292,6 +294,24 @@ async def test_a_command_that_hangs_is_given_up(
     monkeypatch.setattr(control_server, "TIME_LIMIT_S", 1.0)
     with pytest.raises(ProtocolError, match="hang took longer than 1 s"):
         await asyncio.to_thread(ask, folder, "hang", time_limit_s=DEADLINE_S)
+
+
+@pytest.mark.seam
+@pytest.mark.parametrize(("command", "is_done"), [("note", False), ("pause", True)])
+async def test_what_was_given_up_is_not_carried_out_later_but_for_a_pause(
+    folder: Path, commands: Commands, command: str, is_done: bool
+) -> None:
+    known = {"note": commands["note"], "pause": commands["note"]}
+    async with ControlServer(folder, known):
+        with ThreadPoolExecutor() as asker:
+            given_up = asker.submit(ask, folder, command, {}, 0.2)
+            # The agent is busy for longer than its answer is waited for.
+            with pytest.raises(TransportError):
+                given_up.result()
+        await until(lambda: len(commands.noted) == is_done)
+        # It was told to try again.
+        await asked(folder, command)
+        assert len(commands.noted) == 1 + is_done
 
 
 async def test_who_only_holds_connections_locks_nobody_out(

@@ -60,7 +60,13 @@ def ask(
         raise TransportError(TransportReason.ABSENT, message)
     try:
         place = json.loads((folder / CONTROL_FILE).read_text(encoding="utf-8"))
-        request = {"token": place["token"], "command": command, "arguments": arguments or {}}
+        request = {
+            "token": place["token"],
+            "command": command,
+            "arguments": arguments or {},
+            # Both are on this computer, whose clock since its start no one sets.
+            "until": time.monotonic() + time_limit_s,
+        }
         reply = json_object(_exchange(int(place["port"]), line(request), time_limit_s))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         reply = None

@@ -10,6 +10,7 @@ import contextlib
 import hmac
 import json
 import secrets
+import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Container, Mapping
 from pathlib import Path
 from typing import Any, Self, cast
@@ -31,6 +32,9 @@ REQUEST_LIMIT = 8192
 MAX_SILENT = 16
 """Connections that have not sent the token yet; one more closes the oldest."""
 MAX_CONVERSATIONS = 16
+DONE_LATE = frozenset({"pause", "stop"})
+"""Commands that are carried out even if whoever asked has given up: they only ever end what is sent
+of a participant. Anything else would be done twice, because the asker was told to try again."""
 
 _DISCARDED_BLOCK, _DISCARDED_BLOCKS = 65536, 256
 _LAST_WORDS_S = 0.5
@@ -190,6 +194,11 @@ class ControlServer:
         known = [*self._commands, *self._conversations]
         if not isinstance(name, str) or name not in known:
             raise _RefusedError(f"unknown command; known are: {', '.join(known)}")
+        until = request.get("until")
+        is_late = isinstance(until, int | float) and time.monotonic() > until
+        if is_late and name not in DONE_LATE:
+            _log.warning("a command came too late, and is not carried out", command=name)
+            raise _RefusedError(f"{name} came when it was given up, and is not carried out")
         if name in self._conversations and len(self._endless) >= MAX_CONVERSATIONS:
             raise _RefusedError("too many programs are connected; end one of them")
         if not isinstance(arguments, dict):
