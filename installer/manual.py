@@ -1,7 +1,7 @@
 """``python -m installer.manual FOLDER``: the documents as pages that any browser shows.
 
-Links lead from page to page; what is no page of the installation becomes text. A broken link
-of the documents is found by the site (``make docs-site``), not here.
+Links lead from page to page; a link to anything but a page of the installation becomes text. The
+site (``make docs-site``) finds broken links of the documents, not this module.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Build:
     work
         Has a folder for each stage.
     say
-        Told once a stage which it is and how it went.
+        Called once per stage with its name and outcome.
     """
 
     def __init__(self, work: Path, say: Callable[[str], None] = print) -> None:

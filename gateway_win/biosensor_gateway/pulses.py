@@ -175,7 +175,7 @@ class Pulses:
         rise = self._rise(kept, top)
         least = self._least_rise(kept)
         if since_s < REFRACTORY_S or rise <= 0 or rise < least:
-            return []  # nothing is dropped: it is no pulse of its own
+            return []  # nothing is dropped: it is part of another pulse
         passed = self._passed_over(kept, upright, top, least)
         self._last, self.height = beat.stamp, upright[top]
         self._heights.append(upright[top])
@@ -227,7 +227,7 @@ class Pulses:
         for place in range(begin + near, top - near):
             is_top = upright[place - 1] < upright[place] >= upright[place + 1]
             if not is_top or upright[place] < limit or place - last < near:
-                continue  # nothing is dropped: it is no top of a pulse
+                continue  # nothing is dropped: it is not the top of a pulse
             valley = max(min(upright[last:place]), min(upright[place:top]))
             rise = self._rise(kept, place)
             if valley < VALLEY_SHARE * upright[place] and rise >= least:

@@ -42,7 +42,7 @@ def read_archive(program: Path) -> Archive:
     Raises
     ------
     ArchiveError
-        If it is no such program, or it holds what a folder bundle's program does not.
+        If it is not such a program, or has more than the program of a folder bundle.
     """
     data = program.read_bytes()
     scripts: list[str] = []

@@ -38,7 +38,7 @@ def normalise(expression: str) -> str:
     Raises
     ------
     UnknownLicenceError
-        If it is no expression or names a licence that SPDX does not know.
+        If it is not an expression or names a licence that SPDX does not know.
     """
     message = f"{expression!r} is no SPDX licence expression; say it in installer/bundle/known.py."
     try:

@@ -118,7 +118,7 @@ def _library_modules(library: Path) -> tuple[str, ...]:
         return ()
     with zipfile.ZipFile(library) as archive:
         names = [name for name in archive.namelist() if not name.endswith("/")]
-    # What is no module keeps its name, by which nothing will be found.
+    # Anything but a module keeps its name, which will not be found.
     stems = (name.removesuffix(".pyc").removesuffix("/__init__") for name in names)
     return tuple(stem.replace("/", ".") for stem in stems)
 

@@ -43,7 +43,7 @@ class Component:
 
 @dataclass(slots=True)
 class Holding:
-    """What of the bundle one owner has; filled while the bundle is gone through."""
+    """The files of one owner in the bundle; filled during the search of the bundle."""
 
     files: list[BundledFile] = field(default_factory=list["BundledFile"])
     modules: set[str] = field(default_factory=set[str])

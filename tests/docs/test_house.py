@@ -200,6 +200,23 @@ INSTEAD = {
     r"cut short": "truncated",
     r"a damage": "damaged bytes",
     r"without a word": "silently",
+    r"so-called": "(nothing)",
+    r"(it|which|what|who) is no (?!longer|matter)[a-z]+": "is not a",
+    r"taken for": "mistaken for, treated as",
+    r"(an?|the) own": "its own",
+    r"(what|who) stands": "the text that is",
+    r"(comes?|came) along": "is included",
+    r"who is who": "the list of names",
+    r"in truth": "really",
+    r"till": "until",
+    r"(none but|save for)": "only, except",
+    r"in vain": "without success",
+    r"(expected|listed|needed) are": "verb after subject",
+    r"once for all": "once",
+    r"informations": "information",
+    r"in the manner of": "like",
+    r"crystal": "oscillator",
+    r"(hitherto|lest|thereof|therewith|whence|whereby|wherein)": "a plain word",
 }
 FOLDERS = ("benchmarks", "common", "docs", "examples", "gateway_win", "installer", "ros_side")
 ENDINGS = {".py", ".md", ".js", ".html", ".nsi", ".ps1"}

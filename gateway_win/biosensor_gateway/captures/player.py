@@ -182,8 +182,8 @@ def parsed(data: bytes) -> dict[str, Any]:
     """Return a JSON-RPC message; empty if the data are something else."""
     try:
         message: object = json.loads(data)
-    except (ValueError, RecursionError):  # nothing is dropped: it is no message of JSON-RPC
-        return {}  # nothing is dropped: what is no message is compared as bytes
+    except (ValueError, RecursionError):  # nothing is dropped: it is not JSON-RPC
+        return {}  # nothing is dropped: other data is compared as bytes
     return cast("dict[str, Any]", message) if isinstance(message, dict) else {}
 
 

@@ -245,7 +245,7 @@ def main() -> None:
 def _refuse_empty(arguments: Sequence[str]) -> None:
     """Exit if an argument is empty, as where a script's variable is not set.
 
-    It would be taken for "not given": for real sensors instead of virtual ones, or this folder.
+    It would mean "not given": real sensors instead of virtual ones, or this folder.
     """
     for before, argument in pairwise(arguments):
         if not argument or (argument.startswith("--") and argument.endswith("=")):

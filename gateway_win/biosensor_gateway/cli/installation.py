@@ -120,7 +120,7 @@ def _family(process: psutil.Process) -> Iterator[int]:
     try:
         for parent in process.parents():
             yield parent.pid
-            # The agent's supervisor has also started its warm spare, which is no descendant.
+            # The agent's supervisor has also started its warm spare, which is not a descendant.
             if _words(parent)[1:2] == ("run",):
                 yield from (each.pid for each in parent.children())
         yield from (each.pid for each in process.children(recursive=True))

@@ -185,7 +185,7 @@ class _Hamilton:
         self._noise.append(peak.energy)
         if since_s >= at.T_WAVE_S:
             self._passed_over.append(peak)
-        return []  # nothing is dropped: a peak that is no beat; `_search_back` may take it
+        return []  # nothing is dropped: the peak is not a beat; `_search_back` may use it
 
     def _search_back(self, place: int) -> list[Beat]:
         if self._last is None or len(self._intervals) < 2 or not self._passed_over:

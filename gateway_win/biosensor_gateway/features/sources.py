@@ -367,7 +367,7 @@ def left_out(source: Source, features: Sequence[Feature], owners: Iterable[Sourc
     """Say why another program's stream does not provide features; empty if it need not be said.
 
     The header of such a stream does not tell of which device it is, so streams with one name and
-    source_id are taken for those of one device.
+    source_id are treated as those of one device.
 
     Parameters
     ----------

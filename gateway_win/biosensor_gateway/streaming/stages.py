@@ -75,7 +75,7 @@ class PauseGate:
         """Return for each stamp whether a sample measured then may be sent."""
         if self._send_from == math.inf:
             return [False] * len(stamps)
-        # A stamp that is no number is refused elsewhere, and said.
+        # A stamp that is not a number is refused and reported elsewhere.
         return [not stamp < self._send_from for stamp in stamps]
 
     def share(self, begin: float, end: float) -> float:
@@ -257,7 +257,7 @@ class _Constant:
 
     def note(self, rows: NDArray[np.float64], first_s: float, last_s: float, to: Refusals) -> None:
         """Process a block of samples, shape [samples, channels], with its first and last stamp."""
-        # NaN, which is no value, is passed over.
+        # NaN is not a value and is ignored.
         if len(rows) == 1:
             low = high = rows[0].copy()
         else:

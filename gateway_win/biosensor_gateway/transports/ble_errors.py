@@ -262,7 +262,7 @@ class Pairing:
             Seconds since the connection; 0 if it was refused.
         """
         if self._is_windows and self._mode == "auto" and not self._is_ours:
-            # Paired in vain is as bad as unpaired in vain: in turns, one of them works.
+            # Pairing may fail, and so may not pairing: when they alternate, one of them works.
             self.comes_first = after_s < EARLY_DROP_S and not self.comes_first
 
     def note_paired(self) -> None:

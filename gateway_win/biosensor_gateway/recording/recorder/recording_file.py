@@ -69,7 +69,7 @@ def summarize(path: Path) -> FileSummary:
     try:
         with open_recording(path) as (file, size, is_unpacked_whole):
             seen.is_whole = not read_chunks(file, size, seen.take) and is_unpacked_whole
-    except RecordingError:  # nothing is dropped: what is no recording has no streams
+    except RecordingError:  # nothing is dropped: other files have no streams
         pass
     return seen
 

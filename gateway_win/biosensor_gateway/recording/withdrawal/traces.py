@@ -63,7 +63,7 @@ def _escaped(name: str) -> set[str]:
     return {json.dumps(name)[1:-1], sanitise(name), as_file.strip("_"), *as_xml}
 
 
-# What stands beside a part of an escaped name of a stream or topic.
+# Characters next to a part of an escaped name of a stream or topic.
 _ESCAPE_BEFORE = re.compile(r"x[0-9A-F]{2}_$")
 _ESCAPE_BEHIND = re.compile(r"_x[0-9A-F]{2}")
 # The same where "P1_x10" may also be a text of its own: letters beyond ASCII only.

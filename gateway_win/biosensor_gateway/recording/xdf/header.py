@@ -177,7 +177,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
     Raises
     ------
     ChunkError
-        If it is no XML, or without it the samples cannot be decoded.
+        If it is not XML, or without it the samples cannot be decoded.
     """
     root, text = _parse(content)
     channel_count, rate = _number(root, "channel_count"), _number(root, "nominal_srate")
@@ -285,7 +285,7 @@ def parse_footer(content: bytes) -> Footer:
     Raises
     ------
     ChunkError
-        If it is no XML.
+        If it is not XML.
     """
     root, _ = _parse(content)
     count = _number(root, "sample_count")
@@ -298,7 +298,7 @@ def parse_file_header(content: bytes) -> str:
     Raises
     ------
     ChunkError
-        If it is no XML.
+        If it is not XML.
     """
     root, _ = _parse(content)
     return root.findtext("datetime") or ""
@@ -310,7 +310,7 @@ def parse_file_clock(content: bytes) -> FileClock | None:
     Raises
     ------
     ChunkError
-        If it is no XML.
+        If it is not XML.
     """
     root, _ = _parse(content)
     pairs: list[ClockPair] = []

@@ -224,7 +224,7 @@ class PulseRate:
             self._misfits += 1
             if self._misfits >= MISFITS_TOLERATED:
                 self._intervals.clear()
-            return []  # nothing is dropped: the wave is emitted, and this is no beat of it
+            return []  # nothing is dropped: the wave is emitted, and has no beat here
         self._misfits = 0
         self._intervals.append(interval_s)
         return [HeartRate(peak_s, 60 / median(self._intervals))] if self._has_rate else []

@@ -15,7 +15,7 @@
   const RETRY_MS = [500, 5000];
   const REFUSED = 1008;
 
-  // What stands behind the # of a page's address is sent to no server.
+  // The part of a page's address after # is not sent to a server.
   const ofAddress = (name) => new URLSearchParams(location.hash.slice(1)).get(name);
   const pageTime = (at) => performance.timeOrigin + at;
 

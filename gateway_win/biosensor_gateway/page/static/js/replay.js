@@ -1,4 +1,4 @@
-// Plays a recording, and says wherever it is seen that it is no person.
+// Plays a recording, and shows everywhere that it is not a live person.
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
@@ -89,7 +89,7 @@ function Contents({ contents }) {
     ${contents.problems.map((each) => html`<p class="reason small">${each}</p>`)}`;
 }
 
-// What stands in names is matched as it stands: * ? and [ have a meaning to whoever chooses by patterns.
+// Names are matched literally: * ? and [ have a meaning for users who choose by patterns.
 const exactly = (name) => name.replace(/[*?[]/g, "[$&]");
 
 export function Replay({ act, isRunning, onClose }) {

@@ -103,7 +103,7 @@ def channel(place: int, label: str, unit: str, least: float, greatest: float) ->
     if not least <= greatest:
         least = greatest = 0.0
     least, greatest = least * factor, greatest * factor
-    # What stands where there is no value is further down than all values.
+    # The number for a missing value is below all values.
     below = _ROOM_BELOW * ((greatest - least) or 1.0)
     low, high = _outward(least - below, math.floor), _outward(greatest, math.ceil)
     if low is None or high is None:
