@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import errno
+import os
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError
 from biosensor_common.naming import source_id
 from biosensor_common.process_limits import INTERRUPTED
 from biosensor_common.refusal import LATELY_S, Refusal, Refusals
@@ -46,6 +47,7 @@ from biosensor_gateway.recording.recorder.streams import expected_devices
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE
+from biosensor_gateway.simulation.async_serial import PtyPort
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import device_facts
@@ -577,3 +579,62 @@ def test_ctrl_c_during_the_imports_prints_nothing(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == INTERRUPTED
+
+
+@pytest.mark.parametrize("command", ["status", "doctor", "run", "record status", "scan", "try"])
+@pytest.mark.usefixtures("logging_as_before")
+def test_a_user_without_a_home_folder_is_told_so(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def has_none(_: object = None) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    for variable in (STATE_VARIABLE, SETTINGS_VARIABLE):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(Path, "home", has_none)
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *command.split()])
+    with pytest.raises(SystemExit) as ended:
+        app.main()
+    assert ended.value.code in (EXIT_FAILED, EXIT_USAGE)
+    said = capsys.readouterr().err
+    assert said.startswith("biosensor-gateway: this user has no home folder; set HOME to ")
+    assert said.count("\n") == 1
+
+
+_OUTLETS = """
+import pylsl
+from biosensor_common.errors import TransportError
+from biosensor_common.lsl.outlet import LslOutlet
+kept = []
+try:
+    while len(kept) < 9:
+        kept.append(LslOutlet(pylsl.StreamInfo("x-1-ecg", "ECG", 1, 130, "float32", "x-1-ecg")))
+except TransportError as error:
+    print(len(kept), error)
+"""
+
+
+@pytest.mark.seam
+def test_where_no_port_is_left_a_stream_says_so(tmp_path: Path) -> None:
+    file = tmp_path / "lsl_api.cfg"
+    file.write_text("[ports]\nBasePort = 17572\nPortRange = 2\nAllowRandomPorts = 0\n")
+    done = subprocess.run(
+        [sys.executable, "-c", _OUTLETS],
+        env={**os.environ, "LSLAPICFG": str(file)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "liblsl cannot open the stream x-1-ecg: all of its ports are taken" in done.stdout
+
+
+async def test_a_virtual_port_says_what_the_system_lacks(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse() -> tuple[int, int]:
+        raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+
+    monkeypatch.setattr(os, "openpty", refuse)
+    port = PtyPort(lambda _: None, lambda: None, 4096)
+    with pytest.raises(TransportError, match=r"no pseudo-terminal left .*: No such device; in a "):
+        port.open()

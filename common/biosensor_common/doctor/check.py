@@ -13,7 +13,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.errors import ConfigError
-from biosensor_common.lsl.api_file import LslOverrides, effective_config, user_config_file
+from biosensor_common.lsl.api_file import (
+    LslOverrides,
+    effective_config,
+    home_folder,
+    user_config_file,
+)
 
 AGENT, NODE = "agent", "node"
 
@@ -108,7 +113,7 @@ class Context:
     @property
     def lsl_file(self) -> Path | None:
         """The user's LSL configuration file that LSL programs started here would read."""
-        return user_config_file(os.environ, Path.home(), Path.cwd())
+        return user_config_file(os.environ, home_folder(), Path.cwd())
 
     @property
     def config(self) -> str:

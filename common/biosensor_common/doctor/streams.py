@@ -26,6 +26,7 @@ from biosensor_common.lsl.api_file import (
     LslApiFile,
     check_session,
     config_places,
+    home_folder,
     is_there,
 )
 from biosensor_common.lsl.sender_clocks import LIMIT_S
@@ -76,7 +77,7 @@ def lsl_config(context: Context) -> Iterator[Finding]:
 
 
 def _places(used: Path | None) -> Iterator[Finding]:
-    places = config_places(os.environ, Path.home(), Path.cwd())
+    places = config_places(os.environ, home_folder(), Path.cwd())
     if used is None:
         yield ok("there is no lsl_api.cfg; LSL programs use their defaults")
     else:

@@ -103,6 +103,21 @@ def home_config_file(home: Path) -> Path:
     return home / "lsl_api" / CONFIG_NAME
 
 
+def home_folder() -> Path:
+    """Return the user's home folder.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if there is none, as for the user of many containers.
+    """
+    try:
+        return Path.home()
+    except RuntimeError as error:
+        message = "this user has no home folder; set HOME to a folder that this user may write to"
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error
+
+
 def user_config_file(environment: Mapping[str, str], home: Path, folder: Path) -> Path | None:
     """Return the file that liblsl itself would read."""
     places = config_places(environment, home, folder)
@@ -150,7 +165,7 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
 
 def config_here(overrides: LslOverrides) -> str:
     """Return `effective_config` for a program that is started here, with its errors."""
-    return effective_config(user_config_file(os.environ, Path.home(), Path.cwd()), overrides)
+    return effective_config(user_config_file(os.environ, home_folder(), Path.cwd()), overrides)
 
 
 def check_session(session: str, file: Path | None) -> None:

@@ -19,7 +19,12 @@ import pylsl
 from pylsl.lib import lib
 
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.api_file import LslOverrides, effective_config, user_config_file
+from biosensor_common.lsl.api_file import (
+    LslOverrides,
+    effective_config,
+    home_folder,
+    user_config_file,
+)
 from biosensor_common.lsl.predicates import EVERYTHING, any_of, of_user
 from biosensor_common.stream_header import StreamHeader
 
@@ -43,7 +48,7 @@ def configure_lsl(overrides: LslOverrides) -> Path | None:
     ConfigError
         As of `effective_config`.
     """
-    path = user_config_file(os.environ, Path.home(), Path.cwd())
+    path = user_config_file(os.environ, home_folder(), Path.cwd())
     pylsl.set_config_content(effective_config(path, overrides))
     return path
 

@@ -11,6 +11,7 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
+from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.process_limits import OUTLET, require
 
 REST_S = 0.02
@@ -25,14 +26,21 @@ class LslOutlet(pylsl.StreamOutlet):
     Raises
     ------
     TransportError
-        ``EXHAUSTED``, if the system lets the process open no more files.
+        ``EXHAUSTED``, if the system lets the process open no more files, or liblsl finds no port.
     """
 
     _pushed_s = -math.inf
 
     def __init__(self, info: pylsl.StreamInfo) -> None:
         require(OUTLET, f"the stream {info.name()}")
-        super().__init__(info)
+        try:
+            super().__init__(info)
+        except RuntimeError as error:
+            message = (
+                f"liblsl cannot open the stream {info.name()}: all of its ports are taken, or "
+                "memory is short; doctor shows the ports"
+            )
+            raise TransportError(TransportReason.EXHAUSTED, message) from error
 
     def push_sample(
         self, x: Sequence[Any] | NDArray[Any], timestamp: float = 0.0, pushthrough: bool = True

@@ -38,6 +38,7 @@ from biosensor_common.lsl.api_file import (
     check_session,
     config_places,
     home_config_file,
+    home_folder,
     user_config_file,
 )
 from biosensor_gateway.cli.options import SettingsOption, settings_or_defaults
@@ -195,7 +196,7 @@ def write_lsl_file(
     peers = tuple(peer or ())
     if arrangement is Arrangement.TWO_PC and not peers:
         raise typer.BadParameter("two-pc needs the other computer: add --peer ADDRESS")
-    path = (out or home_config_file(Path.home())).expanduser()
+    path = (out or home_config_file(home_folder())).expanduser()
     lsl = settings_or_defaults(settings).lsl
     local = (LOOPBACK,) if arrangement is Arrangement.SINGLE_PC else ()
     session_id = lsl.session_id or _session_of_own_file()
@@ -208,7 +209,7 @@ def write_lsl_file(
 
 def _session_of_own_file() -> str:
     """Return the session of the LSL file that the agent uses when its settings name none."""
-    own = user_config_file(os.environ, Path.home(), Path.cwd())
+    own = user_config_file(os.environ, home_folder(), Path.cwd())
     session_id = LslFile((own and _read(own)) or "", str(own)).session_id
     check_session(session_id, own)
     return session_id
@@ -283,7 +284,7 @@ def _report(path: Path, file: LslFile, others: tuple[str, ...]) -> None:
 
 def _warnings(path: Path) -> list[str]:
     """Return what keeps LSL programs from reading the file."""
-    places = config_places(os.environ, Path.home(), Path.cwd())
+    places = config_places(os.environ, home_folder(), Path.cwd())
     before = list(takewhile(lambda place: place.resolve() != path.resolve(), places))
     if len(before) == len(places):
         return [f"LSL does not look there; set the environment variable LSLAPICFG to {path}"]

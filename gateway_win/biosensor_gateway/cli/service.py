@@ -12,6 +12,7 @@ import typer
 
 from biosensor_common.child import full_path
 from biosensor_common.errors import TransportError, TransportReason, cannot_write
+from biosensor_common.lsl.api_file import home_folder
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.system import state_file
@@ -62,7 +63,7 @@ def install(arguments: Sequence[str]) -> Path:
         ``UNAVAILABLE`` if systemd does not start it.
     """
     systemctl = _systemctl()
-    path = unit_path(os.environ, Path.home())
+    path = unit_path(os.environ, home_folder())
     try:
         state_file.replace(path, unit_text(arguments))
     except OSError as error:
@@ -88,7 +89,7 @@ def remove() -> bool:
         As for :func:`install`.
     """
     systemctl = _systemctl()
-    path = unit_path(os.environ, Path.home())
+    path = unit_path(os.environ, home_folder())
     if not path.exists():
         return False
     problem = _problem(systemctl, "disable", "--now", UNIT)

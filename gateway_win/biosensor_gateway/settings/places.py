@@ -10,24 +10,40 @@ from pathlib import Path
 
 import platformdirs
 
+from biosensor_common.lsl.api_file import home_folder
+
 APP_NAME = "biosensor-gateway"
 SETTINGS_VARIABLE = "BIOSENSOR_GATEWAY_SETTINGS"
 STATE_VARIABLE = "BIOSENSOR_GATEWAY_STATE"
 
 
 def settings_path() -> Path:
-    """Return ``BIOSENSOR_GATEWAY_SETTINGS``, or the settings file in the user's config folder."""
+    """Return ``BIOSENSOR_GATEWAY_SETTINGS``, or the settings file in the user's config folder.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if the user has no home folder.
+    """
     chosen = os.environ.get(SETTINGS_VARIABLE)
     if chosen:
         return Path(chosen).expanduser()
+    home_folder()
     return platformdirs.user_config_path(APP_NAME, appauthor=False) / "settings.toml"
 
 
 def state_folder() -> Path:
-    """Return ``BIOSENSOR_GATEWAY_STATE``, or the user's state folder, for status and logs."""
+    """Return ``BIOSENSOR_GATEWAY_STATE``, or the user's state folder, for status and logs.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if the user has no home folder.
+    """
     chosen = os.environ.get(STATE_VARIABLE)
     if chosen:
         return Path(chosen).expanduser()
+    home_folder()
     return platformdirs.user_state_path(APP_NAME, appauthor=False)
 
 
@@ -100,7 +116,7 @@ def _looks(name: str) -> str:
 
 def usual_recordings_folder() -> Path:
     """Return the default folder of this user's recordings."""
-    return recordings_folder(platformdirs.user_documents_path(), Path.home(), _RECORDINGS)
+    return recordings_folder(platformdirs.user_documents_path(), home_folder(), _RECORDINGS)
 
 
 def recordings_folder(documents: Path, home: Path, name: str) -> Path:

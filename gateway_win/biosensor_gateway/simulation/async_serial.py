@@ -77,7 +77,7 @@ class PtyPort:
         Raises
         ------
         TransportError
-            UNAVAILABLE if this system has no pseudo-terminals.
+            UNAVAILABLE if this system has no pseudo-terminals, or none left.
         """
         if sys.platform == "win32":
             raise TransportError(
@@ -85,7 +85,14 @@ class PtyPort:
             )
         if self._handle is not None:
             return
-        self._handle, host_end = os.openpty()
+        try:
+            self._handle, host_end = os.openpty()
+        except OSError as error:
+            message = (
+                "this system has no pseudo-terminal left for a virtual serial port: "
+                f"{error.strerror}; in a container, /dev/pts must be mounted"
+            )
+            raise TransportError(TransportReason.UNAVAILABLE, message) from error
         tty.setraw(self._handle)
         os.set_blocking(self._handle, False)
         self._path.symlink_to(os.ttyname(host_end))
