@@ -515,7 +515,7 @@ def test_the_template_is_written_once(tmp_path: Path) -> None:
 
 def test_a_file_in_the_place_of_a_folder_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="cannot make the folder .*SETTINGS") as caught:
+    with pytest.raises(ConfigError, match=r"cannot make the folder .*SETTINGS") as caught:
         write_template(tmp_path / "file" / "settings.toml", MODELS)
     assert caught.value.reason is ConfigReason.UNREADABLE
 
