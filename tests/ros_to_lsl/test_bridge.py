@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import pylsl
 import pytest
+from rclpy.serialization import serialize_message
 from rosidl_parser import definition
 
 from lsl_to_ros.ros_to_lsl import bridge, outlets
@@ -21,6 +22,7 @@ from lsl_to_ros.ros_to_lsl.reports import topic_facts, topic_status
 from lsl_to_ros.ros_to_lsl.stamps import Offset, StampSource
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.statistics.status import StreamStatus
+from lsl_to_ros.subscriber_thread import has_nul, steps_of
 from tests.rigs.memory_links import MemoryOutlet
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
 
@@ -311,3 +313,45 @@ def test_a_slow_way_is_no_wrong_clock_once_it_was_measured() -> None:
     before = sent.bridge.stamping.sources[StampSource.HEADER]
     sent.run(PoseStamped, header_s=0.2, source_s=0.2)
     assert sent.bridge.stamping.sources[StampSource.HEADER] == before + 80
+
+
+# Texts with a NUL character, which rclpy itself cannot publish.
+
+
+def _serialised(kind: str, **values: Any) -> tuple[type[Any], bytes]:
+    message = message_class(kind)(**values)
+    return message_class(kind), serialize_message(message)
+
+
+KEY_VALUES = [message_class("diagnostic_msgs/msg/KeyValue")(key="speed", value="xNUL")]
+JOINTS = {"name": ["arm", "xNUL"], "position": [0.5, 0.25], "effort": [1.0]}
+TEXTS: dict[str, dict[str, Any]] = {
+    "std_msgs/msg/String": {"data": "xNUL"},
+    "diagnostic_msgs/msg/KeyValue": {"key": "a", "value": "xNUL"},
+    "diagnostic_msgs/msg/DiagnosticStatus": {
+        "level": b"\1",
+        "name": "odd",
+        "message": "a",
+        "values": KEY_VALUES,
+    },
+    "sensor_msgs/msg/JointState": JOINTS,
+    "rcl_interfaces/msg/Log": {"level": 20, "name": "node", "msg": "xNUL", "line": 7},
+    "std_msgs/msg/Float64MultiArray": {"data": [1.0, 2.0]},
+}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_a_nul_in_any_text_of_a_message_is_found_and_no_other_is(kind: str) -> None:
+    found, content = _serialised(kind, **TEXTS[kind])
+    steps = steps_of(found)
+    assert not has_nul(content, steps)
+    with_nul = content.replace(b"xNUL", b"x\0UL")
+    assert has_nul(with_nul, steps) == (with_nul != content)
+    # What is cut short is somebody else's error, and other encodings are not followed.
+    assert not has_nul(content[:5], steps)
+    assert not has_nul(b"\0\7" + with_nul[2:], steps)
+
+
+def test_numbers_alone_are_not_taken_as_bytes() -> None:
+    assert steps_of(message_class("std_msgs/msg/Float64")) == ()
+    assert steps_of(Pose) == ()

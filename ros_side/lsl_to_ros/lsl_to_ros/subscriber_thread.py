@@ -6,6 +6,8 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from functools import cache
+from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, NotRequired, TypeAlias, TypedDict
 
@@ -14,6 +16,14 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rosidl_parser.definition import (
+    AbstractSequence,
+    AbstractString,
+    AbstractType,
+    Array,
+    BasicType,
+    NamespacedType,
+)
 
 REST_S = 0.0015
 """Pause after each round, so that messages close in time are taken together: a round costs more
@@ -35,7 +45,7 @@ class MessageInfo(TypedDict):
     source_timestamp: int
     received_timestamp: int
     publication_sequence_number: int | None
-    # Whether rclpy has cut the text at a NUL character; only known of `std_msgs/msg/String`.
+    # Whether rclpy has cut a text at a NUL character.
     is_cut: NotRequired[bool]
 
 
@@ -61,7 +71,7 @@ class _Entry:
         self.subscription, self.take = subscription, take
         # Stored, because every round needs it and rclpy's property is slow.
         self.handle = subscription.handle
-        self.is_text = subscription.msg_type.get_fields_and_field_types() == {"data": "string"}
+        self.steps = steps_of(subscription.msg_type)
 
 
 class Taker:
@@ -135,21 +145,106 @@ class Taker:
         take_message, kind = entry.handle.take_message, entry.subscription.msg_type
         try:
             for _ in range(_MAX_TAKEN):
-                # Text is taken as bytes, because rclpy reads it up to the first NUL.
-                taken = take_message(kind, entry.is_text)
+                # What has text is taken as bytes, because rclpy reads it up to the first NUL.
+                taken = take_message(kind, bool(entry.steps))
                 if taken is None:
                     return  # nothing is dropped: nothing has come
                 message, info = taken
-                if entry.is_text:
-                    message, info["is_cut"] = deserialize_message(message, kind), _has_nul(message)
+                if entry.steps:
+                    info["is_cut"] = has_nul(message, entry.steps)
+                    message = deserialize_message(message, kind)
                 entry.take(message, info)
         except Exception as error:  # noqa: BLE001 - else no topic would be sent any more
             # nothing is dropped: `failed` reports it
             self._failed(entry.subscription, error)
 
 
-def _has_nul(content: bytes) -> bool:
-    """Whether a serialised string, the only field of a message, has a NUL before its end."""
-    order = "<" if content[1] & 1 else ">"
-    (length,) = struct.unpack_from(f"{order}I", content, 4)
-    return b"\0" in content[8 : 8 + max(0, length - 1)]
+Step = tuple[int | None, int, "tuple[Step, ...]"]
+"""One field of a serialised message: how many there are, None for a sequence with its own count;
+the size of a number, 0 for text or a message; and the fields of the message, none for text."""
+_SIZES = {
+    "octet": 1,
+    "char": 1,
+    "boolean": 1,
+    "float": 4,
+    "double": 8,
+    "long double": 16,
+    **{f"{sign}int{8 * size}": size for sign in ("", "u") for size in (1, 2, 4, 8)},
+}
+# XCDR1, the encoding of all messages in ROS 2 that have no optional fields.
+_BIG, _LITTLE = b"\0\0", b"\0\1"
+_NOTHING: Step = (1, 1, ())
+"""A message without fields has one byte."""
+
+
+@cache
+def steps_of(kind: type[Any]) -> tuple[Step, ...]:
+    """Return the fields of a message type; none if it has no text, or it cannot be followed."""
+    try:
+        steps = _steps(kind)
+    except KeyError:
+        # The size of wide text differs between implementations.
+        # nothing is dropped: it is taken as any other message
+        return ()
+    return steps if any(map(_has_text, steps)) else ()
+
+
+def _steps(kind: type[Any]) -> tuple[Step, ...]:
+    return tuple(map(_step, kind.SLOT_TYPES)) or (_NOTHING,)
+
+
+def _step(slot: AbstractType) -> Step:
+    if isinstance(slot, Array):
+        _, size, inside = _step(slot.value_type)
+        return slot.size, size, inside
+    if isinstance(slot, AbstractSequence):
+        _, size, inside = _step(slot.value_type)
+        return None, size, inside
+    if isinstance(slot, NamespacedType):
+        return 1, 0, _steps(getattr(import_module(".".join(slot.namespaces)), slot.name))
+    if isinstance(slot, AbstractString):
+        return 1, 0, ()
+    assert isinstance(slot, BasicType)
+    return 1, _SIZES[slot.typename], ()
+
+
+def _has_text(step: Step) -> bool:
+    _, size, inside = step
+    return not size and (not inside or any(map(_has_text, inside)))
+
+
+def has_nul(content: bytes, steps: tuple[Step, ...]) -> bool:
+    """Whether a text of a serialised message has a NUL character before its end."""
+    encoding, body = content[:2], content[4:]
+    if encoding not in (_BIG, _LITTLE):
+        return False
+    count_of = struct.Struct("<I" if encoding == _LITTLE else ">I").unpack_from
+
+    def follow(steps: tuple[Step, ...], place: int) -> tuple[int, bool]:
+        for fixed, size, inside in steps:
+            count = fixed
+            if count is None:
+                place += -place % 4
+                (count,) = count_of(body, place)
+                place += 4
+            if size:
+                place += -place % min(size, 8) if count else 0
+                place += count * size
+                continue  # nothing is dropped: numbers are no text
+            for _ in range(count):
+                if inside:
+                    place, is_found = follow(inside, place)
+                else:
+                    place += -place % 4
+                    (length,) = count_of(body, place)
+                    begin, place = place + 4, place + 4 + length
+                    is_found = b"\0" in body[begin : max(begin, place - 1)]
+                if is_found:
+                    return place, True
+        return place, False
+
+    try:
+        return follow(steps, 0)[1]
+    except struct.error:
+        # nothing is dropped: what is shorter than its type is an error when it is read
+        return False
