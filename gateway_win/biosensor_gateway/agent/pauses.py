@@ -134,7 +134,7 @@ class PauseCommands:
                     self._hold(sink, pause)
 
     def _holds_for(self, pause: Pause, identity: DeviceIdentity) -> bool:
-        """Whether a pause applies to a device; one of a device that is here to that one alone."""
+        """Whether a pause applies to a device; if the paused one is present, only to that one."""
         is_exact = pause.identity == identity
         return is_exact or (pause.identity not in self._sinks and pause.holds_for(identity))
 

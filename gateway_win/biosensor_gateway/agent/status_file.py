@@ -112,7 +112,7 @@ def _is_held(folder: Path) -> bool:
 
 
 def other_session(status: Mapping[str, Any], lsl: LslOverrides) -> str:
-    """Say so if an agent is in another LSL session than this program; empty if not, or unknown."""
+    """Return a sentence if an agent is in another LSL session than this program, else empty."""
     from biosensor_common.lsl.api_file import config_here, session  # noqa: PLC0415 - not for stop
 
     agent, own = status.get("session", ""), session(config_here(lsl))

@@ -92,7 +92,7 @@ def _write(report: Path, content: str) -> None:
 
 
 def _require_place(report: Path) -> None:
-    """See that a report can be written there, before anything is done that it is about."""
+    """Check that the report can be written, before anything is done."""
     try:
         report.touch(exist_ok=False)
         report.unlink()

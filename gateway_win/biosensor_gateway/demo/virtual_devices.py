@@ -191,7 +191,7 @@ def _start(
 def _flat(
     wanted: Sequence[Wanted], scheduled: Iterable[ScheduledFault]
 ) -> dict[Wanted, tuple[tuple[float, float], ...]]:
-    """Return the periods in which each device measures nothing that changes.
+    """Return the periods in which the values of each device are constant.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def turns_of(
 
 
 def _has_heart(name: str) -> bool:
-    """Whether a device measures a heart and has a wearer, which a recording has not."""
+    """Whether a device measures a heart and has a wearer; a recording has none."""
     kinds = {stream.content_type for stream in sensor(name.partition(":")[0]).spec.streams}
     return FaultKind.OFF_BODY in virtual_class(name).faults and not kinds.isdisjoint(_OF_HEART)
 

@@ -24,7 +24,7 @@ class _Point(NamedTuple):
 
 
 class Breathing:
-    """Gives `breaths`, `breath_depth`, `br_live` and `br_live_quality` after each inspiration.
+    """Computes `breaths`, `breath_depth`, `br_live` and `br_live_quality` after each inspiration.
 
     A turning point of the smoothed signal is where it has moved back by a share of its usual span;
     smaller movements belong to the same breath. Maxima are ends of inspirations.
@@ -155,7 +155,7 @@ class _Usual:
 class _Noise:
     """Measures the standard deviation of white noise in a signal, times a factor.
 
-    Second differences are those of noise at most samples, and their median leaves out others.
+    At most samples, second differences consist of noise; their median ignores the others.
     """
 
     def __init__(self, length: int, factor: float) -> None:

@@ -43,7 +43,7 @@ class PulsesOfAnyRate:
         self._pulses = Pulses(self._decimator.rate)
 
     def take(self, stamps: Array, values: Array) -> list[Beat]:
-        """Process stamps and values, both of shape (n,); return the pulses certain by now."""
+        """Process stamps and values, both of shape (n,); return the pulses that are certain now."""
         found: list[Beat] = []
         for stamp, value in self._decimator.take(stamps, values):
             found += self._pulses.take(stamp, value)

@@ -49,7 +49,7 @@ def variability(intervals_s: Array, is_valid: NDArray[np.bool_]) -> Variability:
 
 
 def is_artefact(interval_s: float, before_s: float) -> bool:
-    """Whether an interval is not between normal beats, by Malik's rule.
+    """Whether an interval is an artefact by Malik's rule.
 
     `before_s` is the previous interval, NaN if there is none.
     """
@@ -65,7 +65,7 @@ class _Interval(NamedTuple):
 
 
 class Trust(Protocol):
-    """Quality of the signal in which beats are found."""
+    """Quality of the signal that contains the beats."""
 
     def worst(self, begin_s: float, end_s: float) -> float:
         """Return the lowest quality of the windows between two stamps; NaN if there is none."""
@@ -73,7 +73,7 @@ class Trust(Protocol):
 
 
 class Heart:
-    """Takes beats of one run; gives `beats`, `hr_live`, `hr_live_quality` and `hrv_live`.
+    """Computes `beats`, `hr_live`, `hr_live_quality` and `hrv_live` from the beats of one run.
 
     Windows end with a beat. A window gives nothing before it is full, and NaN if too few of its
     intervals are valid. The motion channel is NaN; `Beside` fills it in.

@@ -204,11 +204,11 @@ class _Stage:
 
     @property
     def is_silent(self) -> bool:
-        """Whether no sample has come yet from its present outlet."""
+        """Whether its present outlet has not sent a sample yet."""
         return not self._link.has_received
 
     def follow(self, info: pylsl.StreamInfo) -> None:
-        """Go on with another outlet that has the same header."""
+        """Continue with another outlet that has the same header."""
         self.close()
         self.info = info
         self._link = Link(self.source, info, self._asking, self._witnesses)
@@ -312,7 +312,7 @@ class Live:
             self._reported = self._asking.submit(self._report, self.refusals)
 
     def look(self, infos: Sequence[pylsl.StreamInfo]) -> None:
-        """Note the streams on the network, and start with those whose description is here."""
+        """Process the streams on the network, and start those whose description was received."""
         present = {info.uid() for info in infos}
         pending = {info.uid() for info, _ in self._described}
         pending |= {each.info.uid() for each in self._waiting}
@@ -353,14 +353,14 @@ class Live:
                 self._refuse(what, count, about=stage.source.name, why=why)
 
     def _lose(self, key: str, stage: _Stage) -> None:
-        """Look for a new outlet of the stream."""
+        """Search for a new outlet of the stream."""
         stage.is_lost = True
         self._known = {uid: each for uid, each in self._known.items() if each != key}
         if not stage.has_begun:
             self._give_up(key)
 
     def _give_up(self, key: str) -> None:
-        """Close a stream, and leave its features to other streams of the device."""
+        """Close a stream, so that other streams of the device can provide its features."""
         stage = self._stages.pop(key)
         stage.close()
         identity = stage.source.identity
@@ -371,7 +371,7 @@ class Live:
                 self._waiting.append(self._spare.pop(uid))
 
     def _replace_silent(self) -> None:
-        """Leave the features of sources that send nothing to others of their devices that may."""
+        """Let other streams of the device provide the features of silent sources."""
         now = self._clock()
         for key, stage in list(self._stages.items()):
             sending_s = self._sending.get(stage.source.identity, now)
@@ -384,14 +384,14 @@ class Live:
                 self._spare_for_later(stage.source, stage.info)
 
     def _spare_for_later(self, source: Source, info: pylsl.StreamInfo) -> None:
-        """Keep features that another stream of the device provides now."""
+        """Store features that another stream of the device provides now."""
         known = self._spare.get(info.uid())
         if known is not None:
             source = replace(source, features=(*known.source.features, *source.features))
         self._spare[info.uid()] = _Seen(source, info, self._clock())
 
     def _tell_spare(self, source: Source) -> None:
-        """Say once of another program's stream which other one provides its features."""
+        """Report once which other stream provides the features of another program's stream."""
         owners = (each.source for each in self._stages.values() if not each.is_lost)
         why = left_out(source, source.features, owners)
         if why and why not in self._told_spare:

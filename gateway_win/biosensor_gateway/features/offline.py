@@ -126,7 +126,7 @@ _Pairs = Sequence[tuple[_Parts, Source]]
 
 
 def _in_parts(recorded: Sequence[Stream], rated: Sequence[Stream]) -> list[_Parts]:
-    """Put together streams that go on with each other; what has the same time stays apart."""
+    """Join streams that continue each other; those of the same time stay separate."""
     ends = [each.ends() or (-math.inf, -math.inf) for each in recorded]
     found: list[list[int]] = []
     by_id: dict[str, list[list[int]]] = {}
@@ -146,7 +146,7 @@ def _in_parts(recorded: Sequence[Stream], rated: Sequence[Stream]) -> list[_Part
 
 
 def _is_twin(one: Stream, other: Stream) -> bool:
-    """Whether two streams have one source_id, and also else the same header."""
+    """Whether two streams have the same source_id and the same header."""
     if not one.header.source_id or one.header.source_id != other.header.source_id:
         return False
     # Rates may be those of the samples, which differ a little.

@@ -40,7 +40,7 @@ def ppg_similarity(values: Array, rate: float) -> float:
 
 
 def apart(values: Array, rate: float, hertz: float) -> float:
-    """Return how much the waves of a period differ, from 0 for equal to 1 for unrelated ones.
+    """Return the difference between the waves of a period, from 0 (equal) to 1 (unrelated).
 
     Samples are sorted by phase, and neighbours are compared, as Lafler and Kinman did with stars.
     A heart's beats differ in interval and height. The waves of an aliased lamp are all equal but
@@ -205,7 +205,7 @@ def _held(values: Array, rate: float) -> dict[str, bool]:
 
 
 def _clipped_s(levels: Array, runs_s: Array, is_fast: NDArray[np.bool_], period_s: float) -> float:
-    """Return how long a signal stays at its maximum, after a rise too steep for a rounded top.
+    """Return the time that a signal stays at its maximum, after a rise too steep for a rounded top.
 
     At a rounded top it stays about as long as at the level below.
     """
@@ -256,7 +256,7 @@ def _upright(values: Array, rate: float) -> Array:
 
 
 def _waves(values: Array, rate: float) -> float:
-    """Return a score for waves of a heart, and not of a lamp or of a swinging arm.
+    """Return a score for waves of a heart rather than of a lamp or a swinging arm.
 
     A pulse has much of its power in overtones; an aliased lamp has little, and a swinging limb not
     much more. The faster a pulse is, the fewer overtones it has. A switched lamp has overtones, but
@@ -280,7 +280,7 @@ def _waves(values: Array, rate: float) -> float:
 
 
 def _hum(spectrum: Array, frequencies: Array) -> float:
-    """Return the share of power at a frequency too high for a heart, and larger than those below.
+    """Return the share of power too fast for a heart, if stronger than all below it.
 
     The hum of mains in a slowly sampled pulse is at any frequency, and looks like pulses. Overtones
     of a steep pulse have less power than the ones before them.
@@ -383,7 +383,7 @@ def gsr(values: Array, rate: float) -> Judged:
 
 
 def _falls(levels: Array, rate: float) -> NDArray[np.bool_]:
-    """Return which levels are of a touch or a dip of about a second, which no response falls like.
+    """Return which levels belong to a touch or a dip of about a second; no response falls so fast.
 
     Half of a response is gone after 2 s at the earliest, Boucsein 2012, so that a second takes at
     most 0.3 of what it rose by. Levels that swing all the time are not judged.

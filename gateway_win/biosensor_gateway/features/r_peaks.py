@@ -27,7 +27,7 @@ class _Peak(NamedTuple):
 
 
 class RPeaks:
-    """Gives the apex of each QRS complex, with a fixed delay.
+    """Finds the apex of each QRS complex, with a fixed delay.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class _Hamilton:
         return self._judge(peak)
 
     def pass_time(self, place: int) -> list[Beat]:
-        """Note that all peaks before this place were given; return the beats that this decides."""
+        """Note that all peaks before this place were passed; return the beats decided by this."""
         if self._learnt is not None:
             return self._learn(place)
         beats = self._search_back(place)

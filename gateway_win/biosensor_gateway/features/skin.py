@@ -25,7 +25,7 @@ _TURNS = 2 / 3
 def least_response(levels: Array, rate: float) -> float:
     """Return the smallest response, in microsiemens, above the noise of these levels.
 
-    Noise bends from sample to sample, and turns at most of them; responses do not.
+    Noise changes its direction at most samples; responses do not.
     """
     steps = np.diff(levels)
     bends = np.abs(np.diff(steps))
@@ -54,7 +54,7 @@ class _Point(NamedTuple):
 
 
 class Skin:
-    """Gives `scl` every second, and `scr` and `scr_prominent` after the peak of each response.
+    """Computes `scl` every second, and `scr` and `scr_prominent` after the peak of each response.
 
     A response is a rise of the smoothed signal from a trough to a peak (Boucsein 2012) that is
     larger than noise. A prominent response has at least a tenth of the largest recent ones, much

@@ -45,7 +45,7 @@ class FeatureReason(Enum):
 
 
 class FeatureError(GatewayError):
-    """Features are not computed; the message says of which stream, and why."""
+    """Features cannot be computed; the message has the stream and the reason."""
 
 
 _SCALES: dict[str, dict[str, float]] = {
@@ -215,7 +215,7 @@ class Computer:
         return low <= self._rate <= high
 
     def remark(self) -> str:
-        """Return what was wrong with the stamps so far; empty if nothing was."""
+        """Return the problems of the stamps so far; empty if there were none."""
         parts = [self.rate_remark] if self.rate_remark else list[str]()
         if self._even_stamps is not None and self._even_stamps.pace is not None:
             rate_hz = 1 / self._even_stamps.pace.period_s
@@ -258,7 +258,7 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
 
 
 def _unit(text: str) -> str:
-    """Return a unit for a header of ours, which takes ASCII only, of one that may be any text."""
+    """Convert an arbitrary unit to one for our header, which permits only ASCII."""
     unit = text.strip().translate(_MICRO)
     try:
         return ChannelSpec("any", unit).unit
@@ -364,9 +364,9 @@ def choose(sources: Iterable[Source], taken: Taken) -> list[Source]:
 
 
 def left_out(source: Source, features: Sequence[Feature], owners: Iterable[Source]) -> str:
-    """Say why another program's stream does not provide features; empty if it need not be said.
+    """Return why another program's stream does not provide features; empty if that is expected.
 
-    The header of such a stream does not tell of which device it is, so streams with one name and
+    The header of such a stream does not identify its device, so streams with one name and
     source_id are treated as those of one device.
 
     Parameters

@@ -48,7 +48,7 @@ _PLACES = {
 
 
 class Witness(Protocol):
-    """A stream of a device that shows when its other streams are not to be trusted."""
+    """A stream of a device that shows when its other streams are unreliable."""
 
     def take(self, stamps: Array, values: Array) -> None:
         """Take samples; shapes (n,) and (n, n_channels)."""

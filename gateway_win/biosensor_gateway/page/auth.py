@@ -58,7 +58,7 @@ _HEADERS = {
 
 
 class Refusal(NamedTuple):
-    """Why a request is refused: an HTTP status code, and a sentence for people."""
+    """The refusal of a request: an HTTP status code, and a sentence for people."""
 
     code: int
     sentence: str
@@ -146,7 +146,7 @@ class BrowserRules:
         self._is_secure = all(each.startswith("https:") for each in self._origins)
 
     def foreign(self, path: str, headers: Headers, *, needs_origin: bool) -> Refusal | None:
-        """Refuse a request that another web page has sent."""
+        """Refuse a request from another web page."""
         origin = headers.get("origin")
         if origin not in self._origins and (needs_origin or origin is not None):
             return Refusal(
@@ -326,7 +326,7 @@ class Guard:
 
 
 def _is_of_another_page(headers: Headers) -> bool:
-    """Whether a browser says that the link to here is on another page."""
+    """Whether the browser reports that the request comes from another page."""
     return headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}
 
 

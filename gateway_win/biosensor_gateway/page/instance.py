@@ -1,4 +1,4 @@
-"""Finds the running page of a state folder, of which there is one, and sends it commands.
+"""Finds the only running page of a state folder, and sends it commands.
 
 The page has a folder in the agent's state folder, with a lock and a control channel like the
 agent's. So a second start opens another window of the running page. The address of that window
@@ -77,7 +77,7 @@ def ask_for_window(folder: Path) -> dict[str, Any] | None:
 
 
 def way_into(running: Mapping[str, Any]) -> WayIn:
-    """Return the way in of an answer to `OPEN`."""
+    """Return the address in an answer to `OPEN`."""
     return WayIn(str(running[ADDRESS]), str(running.get(REDIRECT, "")))
 
 

@@ -1,4 +1,4 @@
-"""The pages of the agent and of the network: they listen at once, and load the rest meanwhile.
+"""The pages of the agent and of the network: they listen at once, and load the rest later.
 
 This module imports only what a server needs to listen. A thread loads the rest while the browser
 opens: first the live view, then the API. The page of the network shows the LSL streams that this

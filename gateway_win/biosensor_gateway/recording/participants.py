@@ -44,7 +44,7 @@ class Mismatch:
 
 @unique
 class Whose(StrEnum):
-    """Which one is right if a file's name and sensors have different participants."""
+    """The right participant if a file's name and its sensors have different ones."""
 
     SENSORS = "sensors"
     NAME = "name"

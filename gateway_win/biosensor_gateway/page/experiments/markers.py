@@ -130,7 +130,7 @@ class Pace:
         self._left, self._then = float(at_once), clock()
 
     def allows(self) -> bool:
-        """Count one more if it is within the limit; return whether it is."""
+        """Count another marker if the limit permits it; return whether it does."""
         now = self._clock()
         self._left = min(self._most, self._left + (now - self._then) * self._per_s)
         self._then = now

@@ -128,7 +128,7 @@ class Received:
         self.begin(core)
 
     def begin(self, core: CoreFields, *, is_ours: bool = False) -> None:
-        """Begin again with another inlet; samples in between are unknown."""
+        """Restart with another inlet; samples in between are unknown."""
         self.newest_s: float | None = None
         self.heard_s: float | None = None
         # nothing is dropped: the page shows the newest only
@@ -141,7 +141,7 @@ class Received:
         self._last_stamp: float | None = None
 
     def age_s(self, now: float) -> float | None:
-        """Return how old the newest sample is; None if there is none."""
+        """Return the age of the newest sample; None if there is none."""
         return None if self.newest_s is None else max(0.0, now - self.newest_s)
 
     def take(self, block: Block, now: float) -> NDArray[np.float64]:
@@ -304,7 +304,7 @@ class NetworkStream:
         return now - self.seen_s > UNSEEN_S and not is_heard
 
     def follow(self, info: pylsl.StreamInfo, core: CoreFields, now: float) -> Receiver | None:
-        """Go on with another outlet; return the receiver of the previous one, to be closed."""
+        """Continue with another outlet; return the previous receiver, which must be closed."""
         self.info, self.core, self.uid, self.seen_s = info, core, info.uid(), now
         self.has_description, self.lost_s = False, None
         before, self.receiver = self.receiver, None

@@ -248,7 +248,7 @@ class Inlets:
                     stream.receiver = None
 
     def _has_to_wait(self, stream: NetworkStream, now: float) -> bool:
-        """Whether it is too early to open a stream: it is gone, or was lost a moment ago."""
+        """Whether a stream must not be opened yet: it is gone, or was lost a moment ago."""
         is_lost = stream.lost_s is not None and now - stream.lost_s < _RETRY_S
         is_unseen = now - stream.seen_s > _UNSEEN_S
         return stream.header is None or is_lost or is_unseen

@@ -245,7 +245,7 @@ def _texts(stream: NetworkStream, now: float) -> list[TextView]:
 
 
 def _note(stream: NetworkStream, counted: dict[str, Counted]) -> str:
-    """Return what is wrong with a stream, as seen here and as reported by its agent."""
+    """Return the problems of a stream, as observed here and as reported by its agent."""
     counts = counted.get(stream.core.source_id) if stream.is_ours else None
     own = stream.note or _clock_note(stream)
     refused = counts.refused if counts else ()
@@ -278,7 +278,7 @@ def group_of(stream: NetworkStream) -> tuple[str, ...]:
 def device_view(
     streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], lost: Mapping[str, int]
 ) -> SeenDeviceView:
-    """Return the view of one device from its streams, of which there is at least one."""
+    """Return the view of one device from its streams, at least one."""
     shown = sorted((views[each.number] for each in streams), key=_rank)
     first = streams[0]
     identity = first.header.identity if first.is_ours and first.header else None

@@ -68,7 +68,7 @@ def add_agent(router: APIRouter, session: Session) -> None:
 
 
 def _ask_first(session: Session, devices: Sequence[DeviceSettings], change: SettingsChange) -> None:
-    """Ask before a start with these devices by which a running recording loses sensors."""
+    """Ask before a start with devices that lack sensors of a running recording."""
     lost = lost_by_start(devices, session.folder)
     if lost and not change.while_recording:
         again = Choice(words="Start without it", more={"while_recording": True})
@@ -79,7 +79,7 @@ _LOOK_S = 0.2
 
 
 class Quitting(BaseModel):
-    """Whether the agent and a recording end with the page, or go on."""
+    """Whether the agent and a recording end with the page, or continue."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 

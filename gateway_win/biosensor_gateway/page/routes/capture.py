@@ -1,4 +1,4 @@
-"""Captures a device, to help its driver: what would leave is shown before it is saved."""
+"""Captures a device, to improve its driver; the contents are shown before they are saved."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class CaptureView(BaseModel):
 
 
 class Capturing:
-    """Captures one device at a time, and ends the agent meanwhile if it has the device."""
+    """Captures one device at a time, and ends the agent during this time if it has the device."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

@@ -88,7 +88,7 @@ class DeviceChange(SettingsChange, DeviceName):
 
 
 class ParticipantNow(SettingsChange):
-    """The participant who is to wear all sensors of the settings."""
+    """The participant to set for all sensors of the settings."""
 
     participant: str
 

@@ -136,7 +136,7 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What is known about a stream."""
+    """The known facts about a stream."""
 
     name: str
     content_type: str

@@ -48,7 +48,7 @@ class Contents:
 
     @property
     def events(self) -> Iterator[tuple[Stream, list[str], float]]:
-        """Agents' streams of events with their texts, and by how much their clock is behind."""
+        """Agents' event streams with their texts and clock offsets."""
         for stream in self.streams:
             blocks = list(stream.blocks(-inf, inf)) if stream.header.is_events else []
             texts = [str(text) for block in blocks for (text,) in block.values]
@@ -57,7 +57,7 @@ class Contents:
 
     @property
     def why_incomplete(self) -> str:
-        """What could not be read, as the end of a sentence about missing data."""
+        """The unreadable parts, as the end of a sentence about missing data."""
         if not self.damages:
             return ""
         first, *others = self.damages
@@ -117,7 +117,7 @@ def estimated_rate(stream: Stream) -> float | None:
 def with_true_rates(streams: Sequence[Stream]) -> tuple[tuple[Stream, ...], list[str]]:
     """Return the streams with corrected nominal rates, and a note for each correction.
 
-    Other than `with_rates`, it also replaces a rate of another program's header that is wrong.
+    Unlike `with_rates`, it also replaces a wrong rate in another program's header.
     """
     rated, notes = with_rates(streams, {})
     found: list[Stream] = []
@@ -195,7 +195,7 @@ def with_rates(
 
 
 def one_rate_each(streams: Sequence[Stream]) -> tuple[Stream, ...]:
-    """Return the streams, with one for each rate in place of a stream whose rate changes."""
+    """Return the streams; one whose rate changes becomes one for each rate."""
     found: list[Stream] = []
     number = max((each.number for each in streams), default=0)
     for stream in streams:
@@ -206,7 +206,7 @@ def one_rate_each(streams: Sequence[Stream]) -> tuple[Stream, ...]:
 
 
 def rates_told(changes: Sequence[RateChange]) -> str:
-    """Say what becomes of a stream whose rate changes; empty if it does not."""
+    """Return a sentence on a stream whose rate changes; empty if it does not change."""
     if not changes:
         return ""
     rates = [f"{changes[0].before_hz:.4g}", *(f"{each.after_hz:.4g}" for each in changes)]

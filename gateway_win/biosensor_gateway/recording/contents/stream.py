@@ -238,7 +238,7 @@ class Stream:
             self.meaning = replace(self.meaning, identity=worn)
 
     def with_rate(self, rate_hz: float) -> Stream:
-        """Return it as if its header named this rate."""
+        """Return a copy with this rate in its header."""
         other = copy(self)
         other.header = replace(self.header, rate=rate_hz)
         other.meaning = replace(self.meaning, rate=rate_hz)
@@ -248,11 +248,11 @@ class Stream:
 
     @cached_property
     def rate_changes(self) -> tuple[RateChange, ...]:
-        """Where its rate changes for good, as in `xdf check`."""
+        """Permanent changes of its rate, as in `xdf check`."""
         return () if self.order_error else self._indexed.rate_changes(self._file)
 
     def parts(self, number: int) -> list[Stream]:
-        """Return a stream for each rate that it has; itself if its rate does not change.
+        """Return a stream for each of its rates; itself if its rate does not change.
 
         Parameters
         ----------
@@ -332,7 +332,7 @@ class Stream:
         )
 
     def on_clock(self, samples: Samples) -> Samples:
-        """Return those of its samples that are on an LSL clock, if only a part of them is."""
+        """Return only its samples on an LSL clock, if some samples are not."""
         if not self.part_error:
             return samples
         bounds = clock_bounds(self.header, self.clock_offsets)

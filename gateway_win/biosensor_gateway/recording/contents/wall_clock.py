@@ -54,7 +54,7 @@ class WallClock:
 
     @property
     def doubt(self) -> str:
-        """How far off the time of day may be, as the end of a sentence; empty if exact."""
+        """Possible error of the time of day, as the end of a sentence; empty if exact."""
         if self.resolution_s >= NO_ZONE_RESOLUTION_S:
             return (
                 "may be hours off: the recorder's date has no time zone, and was taken as one of "

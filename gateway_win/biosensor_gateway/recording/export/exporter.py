@@ -212,7 +212,7 @@ class Timeline:
         return (self._wall.to_unix_ns(times) - self.zero_unix_ns) / NS_PER_S
 
     def described(self) -> dict[str, object]:
-        """Return its description for a sidecar."""
+        """Return a description of the times for a sidecar."""
         clock = "unix time" if self._wall else "the recorder's LSL clock"
         said: dict[str, object] = {
             "Description": f"first sample of the recording; seconds since it are on {clock}",

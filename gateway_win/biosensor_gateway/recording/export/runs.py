@@ -299,7 +299,7 @@ class Runs:
         return ", for they are arrival times" if pace is not None and pace.overlap_s > 0 else ""
 
     def _on_line(self, number: int, first: int, count: int) -> NDArray[np.float64] | None:
-        """Return times of samples of a run on its line; None if each has its own time."""
+        """Return the times of a run's samples on its line; None if the recorded times are used."""
         if self.cuts is not None:
             return self.cuts.times(number, first, count)
         return self._lines[number].times(first, count, self._usual_s) if self._is_even else None
@@ -318,7 +318,7 @@ class Runs:
             done += len(samples)
 
     def _in_line(self, times: NDArray[np.float64], before: int) -> NDArray[np.float64]:
-        """Return times in which outliers are interpolated."""
+        """Return the times with outliers replaced by interpolation."""
         is_here = (self._stray >= before) & (self._stray < before + len(times))
         if not is_here.any() or is_here.sum() == len(times):
             return times
@@ -412,7 +412,7 @@ class Stretch:
 
     @property
     def away_s(self) -> float:
-        """Largest time difference between a sample and its row, since a file has one rate."""
+        """Largest time difference between a sample and its row, because a file has one rate."""
         ends = ((row, run.begin_s) for row, run in self.begins)
         lasts = ((row + run.count - 1, run.begin_s + run.length_s) for row, run in self.begins)
         told = [*ends, *lasts]

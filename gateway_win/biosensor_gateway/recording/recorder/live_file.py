@@ -244,7 +244,7 @@ class Counted:
                 self.strange_since = self._strange[0]
 
     def _nearest(self, stamp: float, since: float) -> tuple[float, bool]:
-        """Return how far the nearest sample is off, and whether one came since a time."""
+        """Return the distance of the nearest sample, and whether one came since a time."""
         off_s, has_come = math.inf, False
         for stamps in reversed(self._came):
             at = int(np.searchsorted(stamps, stamp))
@@ -447,7 +447,7 @@ class Growth:
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
 
     def story(self, source_id: str, own_started_s: float | None = None) -> Iterator[Finding]:
-        """Yield what has happened so far: gaps, past absences, refusals, and another agent.
+        """Yield the events so far: gaps, past absences, refusals, and another agent.
 
         Parameters
         ----------
@@ -462,7 +462,7 @@ class Growth:
         yield from self.lost()
 
     def lost(self) -> Iterator[Finding]:
-        """Yield what agents counted as lost of streams in which that leaves no gap."""
+        """Yield losses that agents counted in streams without a gap."""
         for each in self._streams.values():
             lost = each.losses.lost
             if lost and not each.gaps.count:
@@ -487,7 +487,7 @@ class Growth:
                 yield Finding(Level.WARNING, "refused", stream.header.title, each)
 
     def gone(self) -> Iterator[Finding]:
-        """Yield which devices their agent has no longer, as after a restart with other settings."""
+        """Yield devices that their agent no longer has, e.g. after a restart with other settings."""
         for log in (each.log for each in self._streams.values() if each.log):
             for device, since_s in log.gone.items():
                 text = (
@@ -538,7 +538,7 @@ class Growth:
         return found
 
     def other_agents(self, source_id: str, own_started_s: float | None) -> Iterator[Finding]:
-        """Yield from when on another agent's streams of the same source_ids are recorded.
+        """Yield the start times of another agent's recorded streams with the same source_ids.
 
         Parameters
         ----------
@@ -729,7 +729,7 @@ class Growth:
             yield Finding(Level.ERROR, "no-offsets", stream.name, text)
 
     def _not_begun(self, streams: Sequence[StreamProgress]) -> Iterator[Finding]:
-        """Yield which regular streams have no sample yet, before they count as stopped."""
+        """Yield regular streams without a sample yet, before they count as stopped."""
         due = [each for each in streams if each.nominal_hz and not each.samples]
         names = [each.name for each in due if self._length_s <= self._longest_age_s(each)]
         if names:

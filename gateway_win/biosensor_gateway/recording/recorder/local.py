@@ -295,7 +295,7 @@ class LocalRecorder:
 
 
 def _asking_itself(config: str) -> str:
-    """Return an LSL configuration with which this computer is asked directly, too.
+    """Return an LSL configuration that also searches this computer directly.
 
     Without a network, or if LSL keeps to this computer, LabRecorder's program (liblsl 1.17) finds
     by multicast one stream of many.

@@ -67,7 +67,7 @@ def ansi_folder(
     fits: Callable[[str], bool] = _fits,
     short: Callable[[str], str] = _short,
 ) -> Path | None:
-    """Return a name of an existing folder that any program can open; None if it has none.
+    """Return a name by which any program can open an existing folder; None if there is none.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ class _Supervisor:
         return process
 
     def _end(self, process: subprocess.Popen[bytes], recording: SavedRecording) -> str:
-        """End the program, which closes its file; return what went wrong."""
+        """End the program, which closes its file; return the problem."""
         limit_s = _GIVEN_UP_S if self._folder.is_given_up else END_S
         send(process, b"\n")
         close_input(process)

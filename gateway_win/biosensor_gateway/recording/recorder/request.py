@@ -120,7 +120,7 @@ class BidsLabels:
 
 @dataclass(frozen=True, slots=True)
 class RecordingRequest:
-    """What to record, to which file, and which problems to accept."""
+    """The streams to record, the file, and the problems to accept."""
 
     folder: Path | None = None  # Path on this computer.
     # Path of the same folder on LabRecorder's computer; empty if it is equal.

@@ -112,7 +112,7 @@ class RecorderFolder:
         return True
 
     def try_lock(self) -> FileLock | None:
-        """Take the lock; None if a supervisor has it. A mere check holds it for an instant."""
+        """Take the lock; None if a supervisor has it. A check holds it for a moment."""
         lock = self._lock()
         try:
             lock.acquire(timeout=_PATIENCE_S, poll_interval=_POLL_S)
@@ -175,7 +175,7 @@ class RecorderFolder:
 
     @property
     def is_given_up(self) -> bool:
-        """Whether its file is to be discarded."""
+        """Whether its file will be discarded."""
         try:
             return state_file.read(self._stop) == _AT_ONCE
         except OSError:
@@ -199,7 +199,7 @@ class WindowRecording:
     started: float  # Unix time in s.
 
     def save(self, state: Path) -> str:
-        """Save it in the state folder; return what went wrong, empty if nothing."""
+        """Save it in the state folder; return the problem, empty on success."""
         try:
             state_file.replace(state / WINDOW_FILE, json.dumps(asdict(self)))
         except OSError as error:
@@ -235,7 +235,7 @@ class WindowRecording:
 
 
 def _canonical(host: str) -> str:
-    """Return the same form for all usual names of this computer."""
+    """Return one form for all usual names of this computer."""
     lower = host.lower()
     return "localhost" if lower in {"127.0.0.1", "::1"} else lower
 
@@ -262,7 +262,7 @@ def file_going_on(state: Path) -> Path | None:
 
 
 def said_to_go_on(state: Path) -> str:
-    """Say that a recording goes on after a program has ended; empty if none runs."""
+    """Return a sentence that a recording continues after a program's end; empty if none runs."""
     file = file_going_on(state)
     if file is None:
         return ""
@@ -270,7 +270,7 @@ def said_to_go_on(state: Path) -> str:
 
 
 def lost_by_start(devices: Iterable[DeviceSettings], state: Path) -> str:
-    """Say which sensors a running recording loses if the agent is started with these devices.
+    """Return the sensors that a running recording loses if the agent starts with these devices.
 
     Empty if it loses none, or no recording of this computer runs.
     """

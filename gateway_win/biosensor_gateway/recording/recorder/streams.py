@@ -224,7 +224,7 @@ def require_startable(
 
 
 def recorded_without(what: Sequence[str]) -> Iterator[str]:
-    """Yield a sentence about what is missing in a recording that starts anyway."""
+    """Yield a sentence about the missing parts of a recording that starts anyway."""
     if what:
         yield f"recorded without: {'; '.join(what)}"
 
@@ -242,7 +242,7 @@ def doubles(presence: Presence) -> Iterator[str]:
 
 
 def excused(devices: Devices) -> frozenset[str]:
-    """Return the source_ids that may be silent: switched off, or of a sensor told to be away."""
+    """Return the source_ids that may be silent: switched off, or of a sensor known to be away."""
     away = (each.sources for each in absences(devices))
     silent = (
         source
@@ -291,7 +291,7 @@ def away_findings(
 def _is_known(absence: Absence, started: float, without: Collection[str]) -> bool:
     """Whether the user knows: paused the sensor, or started recording without it.
 
-    One that went away while the streams were being opened was there when the user was asked.
+    A sensor that left while the streams were being opened was still present at the question.
     """
     if absence.is_paused or absence.is_partial:
         return True

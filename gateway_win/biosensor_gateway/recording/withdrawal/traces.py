@@ -39,18 +39,18 @@ _BLOCK_BYTES = 1 << 20
 
 
 def _key(name: str) -> str:
-    """Return what is equal for all spellings of one name: case and the form of accents."""
+    """Return a key that is equal for all spellings of a name: its case and form of accents."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def _spellings(name: str) -> set[str]:
-    """Return a name as texts have it: in each form of accents and, beyond ASCII, each case."""
+    """Return the spellings of a name: each form of accents and, beyond ASCII, each case."""
     forms = {unicodedata.normalize(each, name) for each in ("NFC", "NFD")}
     return forms | {each for form in forms for each in (form.lower(), form.upper(), form.title())}
 
 
 def _escaped(name: str) -> set[str]:
-    """Return a name as JSON, XML, LSL names and topics have it, if they do not have it as it is."""
+    """Return a name as escaped in JSON, XML, LSL names and topics, where that differs."""
     codes = [[f"&#{ord(c)};", f"&#x{ord(c):X};"] for c in name]
     as_xml = [
         "".join(c if c.isascii() else code[kind] for c, code in zip(name, codes, strict=True))
@@ -106,7 +106,7 @@ class Person:
         return bool(participant) and _key(participant) == self._key
 
     def has_label(self, participant: str) -> bool:
-        """Whether a BIDS label, or a participant's, is that of this person, and maybe of others."""
+        """Whether the BIDS label of this person, and maybe of others, equals that of a text."""
         return bool(participant) and label(participant).lower() == self._label
 
     @property
@@ -201,7 +201,7 @@ _LETTER_BEFORE, _LETTER_BEHIND = re.compile(_LETTER + "$"), re.compile(_LETTER)
 
 
 def _stands_alone(before: str, behind: str) -> bool:
-    """Whether no letter, digit or accent next to a name makes another one of it."""
+    """Whether a name is not part of a longer one, by the letters, digits and accents next to it."""
     before = _letter_of(_LETTER_BEFORE.search(before)) or before
     behind = _letter_of(_LETTER_BEHIND.match(behind)) or behind
     is_escaped = _LETTERS_BEFORE.search(before) or _LETTERS_BEHIND.match(behind)
@@ -281,7 +281,7 @@ def open_plain(path: Path) -> BinaryIO:
 
 
 def is_utf16(path: Path) -> bool:
-    """Whether a file begins as texts of Windows do that have two bytes for each character."""
+    """Whether a file begins like a Windows text with two bytes for each character."""
     with open_plain(path) as file:
         return file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -336,7 +336,7 @@ def _rows(lines: Iterable[bytes], path: Path) -> Iterator[bytes]:
 
 
 class Layout(NamedTuple):
-    """Where an EDF or BDF file has text: in its header, and in parts of each record."""
+    """The places of text in an EDF or BDF file: its header, and parts of each record."""
 
     head: int
     record: int

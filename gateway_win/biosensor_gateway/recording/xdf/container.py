@@ -56,7 +56,7 @@ _TAGS = frozenset(Tag)
 
 
 class FrameError(Exception):
-    """No chunk begins here; the text says why."""
+    """No chunk begins here; the text is the reason."""
 
 
 class Frame(NamedTuple):
@@ -179,11 +179,11 @@ class Chunk(NamedTuple):
 
     @property
     def body(self) -> memoryview:
-        """What comes after the stream's number."""
+        """The content after the stream's number."""
         return memoryview(self.content)[STREAM_ID_BYTES:]
 
     def of_stream(self, number: int) -> Chunk:
-        """Return it as one of the stream with this number."""
+        """Return a copy with this stream number."""
         if number == self.stream_id:
             return self
         return self._replace(content=number.to_bytes(STREAM_ID_BYTES, "little") + self.body)
@@ -226,7 +226,7 @@ class ChunkError(Exception):
 
 
 class _Broken(NamedTuple):
-    """Why no chunk was read, its end if its frame gives one, and whether its kind is unknown."""
+    """The reason why no chunk was read, its end if known, and whether its kind is unknown."""
 
     what: str
     end: int | None = None
@@ -301,7 +301,7 @@ def open_recording(path: Path) -> Generator[OpenRecording]:
 
 
 def _what_it_is(head: bytes) -> str:
-    """Return what kind of file it is instead, judging by its first bytes."""
+    """Return the kind of another file, judging by its first bytes."""
     if not head:
         return "it is empty"
     if not head.strip(b"\0"):
@@ -392,7 +392,7 @@ class _Reader:
         return end
 
     def _with_zeros(self, what: str, end: int) -> str:
-        """Mention in the description that the file ends with zeros, if it does."""
+        """Add to the description if the file ends with zeros."""
         if end < self._size:
             return what
         self._file.seek(max(0, self._size - _ZEROS_AT_END))
@@ -421,7 +421,7 @@ class _Reader:
         return None
 
     def _read_one(self, position: int, *, is_found: bool = False) -> _Broken | int:
-        """Read the chunk at `position`; return its end, or what is wrong."""
+        """Read the chunk at `position`; return its end, or the problem."""
         file = self._file
         try:
             frame = read_frame(file, position)

@@ -186,7 +186,7 @@ class _Strangers:
         self._count = 0
 
     def watched(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take the next timestamps of the stream, and return them."""
+        """Process the next timestamps of the stream, and return them unchanged."""
         ordered = np.sort(stamps[np.isfinite(stamps)])
         self._count += len(ordered)
         if len(ordered) and len(self._told):
@@ -203,7 +203,7 @@ class _Strangers:
 
     @property
     def since(self) -> float | None:
-        """The first of several timestamps in a row that are not there, amid others that are."""
+        """The first of several consecutive missing timestamps, among others that are present."""
         up_to = np.cumsum(self._growth[:-1])
         # Where nothing was recorded, samples are lost, and not strange.
         is_amid = (np.diff(up_to, prepend=0) > 0) & (up_to > 0) & (up_to < self._count)

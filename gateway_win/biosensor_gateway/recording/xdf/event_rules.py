@@ -93,7 +93,7 @@ def absences(
 def consequence(
     finding: Finding, measured: Measured, extent: Extent, away: Sequence[Absence]
 ) -> Finding:
-    """Return a finding about a stream, with the absence that explains all of it, if one does."""
+    """Return a finding about a stream, with the absence that explains all of it, if any."""
     own = [each for each in away if each.concerns(measured.stream.header)]
     # After a restart of the clock, samples are on another clock than events.
     if not own or measured.figures.offsets.resets:
@@ -134,7 +134,7 @@ def _missing_times(code: str, measured: Measured, extent: Extent) -> Sequence[Ga
 
 
 def without_pauses(streams: Sequence[Measured]) -> list[Measured]:
-    """Take those gaps out of each stream's gaps in which its device was paused."""
+    """Remove the gaps during pauses of the device from each stream's gaps."""
     pauses: dict[str, list[Spell]] = {}
     for events in streams:
         if events.stream.header.is_events:
@@ -157,7 +157,7 @@ def _without(measured: Measured, pauses: Sequence[Spell]) -> Measured:
 
 
 def split_pauses(gaps: Gaps, spells: Sequence[Spell]) -> tuple[Gaps, Gaps]:
-    """Return the gaps of a device's stream without those in which it was paused, and those."""
+    """Split the gaps of a device's stream into those outside and those during its pauses."""
     pauses = [each for each in spells if each.how == PAUSED]
     paused = tuple(gap for gap in gaps.listed if any(_is_within(gap, [each]) for each in pauses))
     told = Gaps(len(paused), 0, sum(gap.length_s for gap in paused), paused)
@@ -183,7 +183,7 @@ def _is_within(gap: Gap, spells: Sequence[Spell]) -> bool:
 
 
 def _overlap_s(gap: Gap, spells: Sequence[Spell]) -> float:
-    """Return how much of a gap lies in these times, in s."""
+    """Return the part of a gap that is in these times, in s."""
     begin, end = gap.after, gap.after + gap.length_s
     parts = sorted(
         (
@@ -219,7 +219,7 @@ def pauses_told(
 
 
 def other_agent_told(texts: Sequence[str], begin_s: float) -> str:
-    """Return from when on a recording is of another agent; empty if it is not.
+    """Return the time since which another agent is recorded, as a sentence; empty if none is.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def _is_beside(stream: Measured, events: Measured) -> bool:
 
 
 def _another_agent(events: Measured, extent: Extent) -> Iterator[Finding]:
-    """Report that the recorder went on with the stream of another agent."""
+    """Report that the recorder continued with the stream of another agent."""
     since_s = EventLog.of(events.stream.texts, ()).other_agent_since()
     if since_s is not None:
         text = f"from {extent.since_begin(since_s, events):.1f} s on {OF_ANOTHER_AGENT}"
@@ -279,7 +279,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
 
 
 def _restarted(log: EventLog, events: Measured, extent: Extent) -> Iterator[Absence]:
-    """Report when the agent was restarted; its heartbeats show between which times."""
+    """Report restarts of the agent, each between two heartbeats."""
     spells = tuple(log.restarts)
     if spells:
         said = ", ".join(
@@ -427,7 +427,7 @@ class Spell(NamedTuple):
 
 @dataclass(slots=True)
 class _AgentRun:
-    """Heartbeats of one agent that follow each other, by their LSL times in seconds."""
+    """Consecutive heartbeats of one agent, by their LSL times in seconds."""
 
     started_s: float
     session: str
@@ -493,7 +493,7 @@ class EventLog:
     def other_agent_since(self, own_started_s: float | None = None) -> float | None:
         """Return since when, in LSL s, heartbeats are of another agent; None if they are not.
 
-        One that is started again after a crash has begun after the last heartbeat before it.
+        An agent that was restarted after a crash started after its predecessor's last heartbeat.
 
         Parameters
         ----------
@@ -514,12 +514,12 @@ class EventLog:
 
     @property
     def gone(self) -> Mapping[DeviceIdentity, float]:
-        """Devices that this agent no longer has, and since when, in LSL s; not another agent's."""
+        """Devices that this agent (no other) no longer has, with the LSL time in s."""
         return {} if self.other_agent_since() is not None else self._gone
 
     @property
     def restarts(self) -> list[Spell]:
-        """When this agent was restarted, each from its last heartbeat to the next one."""
+        """Restarts of this agent, each from its last heartbeat to the next one."""
         if self.other_agent_since() is not None:
             return []
         return [
@@ -585,7 +585,7 @@ def _ways(
     before: Mapping[DeviceIdentity, str],
     recorded: Sequence[DeviceIdentity],
 ) -> Iterator[tuple[DeviceIdentity, str]]:
-    """Yield how each recorded device in an event is absent; an empty text if it is not."""
+    """Yield the kind of absence of each recorded device in an event; empty if it is present."""
     kind, devices = str(event.get("event")), event.get("devices")
     if kind == EventKind.HEARTBEAT and isinstance(devices, dict):
         for name, state in cast("dict[str, object]", devices).items():

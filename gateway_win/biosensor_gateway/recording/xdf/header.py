@@ -26,7 +26,7 @@ _MARKERS = ("marker", "trigger", "event", "stim")
 
 @dataclass(frozen=True, slots=True)
 class RobotTopic:
-    """What the header of a stream from ``ros_to_lsl`` says about its topic."""
+    """The description of the topic in the header of a stream from ``ros_to_lsl``."""
 
     topic: str
     # Origin of the first sample's timestamp: the message's header, its source, or its arrival.
@@ -71,7 +71,7 @@ class RecordedHeader:
 
     @property
     def title(self) -> str:
-        """What a sentence calls the stream: its name, or ``nameless`` and its kind."""
+        """The stream's name for sentences, or ``nameless`` and its kind."""
         return self.name if self.name.strip() else f"nameless {self.content_type or 'stream'}"
 
     @property
@@ -137,7 +137,7 @@ class RecordedHeader:
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """The footer of one recorded stream; fields that it lacks are None."""
+    """The footer of one recorded stream; missing fields are None."""
 
     sample_count: int | None
 
@@ -305,7 +305,7 @@ def parse_file_header(content: bytes) -> str:
 
 
 def parse_file_clock(content: bytes) -> FileClock | None:
-    """Return how the file's clock relates to Unix time; None if the file header does not say.
+    """Return the relation of the file's clock to Unix time; None if the header has none.
 
     Raises
     ------

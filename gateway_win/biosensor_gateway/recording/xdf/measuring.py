@@ -179,7 +179,7 @@ def _measure(stream: RecordedStream) -> Figures:
 def _parts(
     header: RecordedHeader, changes: Sequence[RateChange]
 ) -> list[tuple[int, RecordedHeader]]:
-    """Return where each part with one rate begins, and the header as if it named that rate."""
+    """Return the start of each part with a constant rate, and the header with that rate."""
     if not changes:
         return [(0, header)]
     rates_hz = [changes[0].before_hz, *(each.after_hz for each in changes)]
@@ -212,7 +212,7 @@ def _cut(
 
 
 def _joined_paces(paces: Mapping[int, Pace | None], count: int) -> Pace | None:
-    """Return the pace of the longest part, with what is odd in any, by the number of the sample."""
+    """Return the pace of the longest part, with the anomalies of all parts by sample number."""
     found = {begin: pace for begin, pace in paces.items() if pace is not None}
     if len(found) < 2:
         return next(iter(found.values()), None)
@@ -546,7 +546,7 @@ def off_in_part(
 
 
 def order_error(header: RecordedHeader, course: Course, sample_count: int) -> str:
-    """Say why stamps of a regular stream do not tell when a sample was measured; empty if they do.
+    """Return why stamps of a regular stream are not times of measurement; empty if they are.
 
     Parameters
     ----------

@@ -180,7 +180,7 @@ def section_of(rate_hz: float) -> int:
 
 
 def rate_of(stamps: Array) -> float | None:
-    """Return the rate of a stream whose header names none; None if its samples come unevenly.
+    """Return the rate of a stream without one in its header; None if its samples are uneven.
 
     However late single stamps are, a number of samples takes as long everywhere in an even stream.
     Where each step is another one, as from beat to beat, it varies the more, the more samples.
@@ -282,7 +282,7 @@ class Cuts:
         return section
 
     def _moved_on(self, times: Array) -> Array:
-        """Return the next times; while the clock still stands, they go on as before."""
+        """Return the next times; while the clock stands still, they continue by the period."""
         if self._standing is None:
             return times
         stamp_s, last_s, period_s = self._standing
@@ -383,7 +383,7 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
 
 
 def _moving(stamps: Array, nominal_s: float) -> tuple[Array, float, list[Standstill]]:
-    """Let timestamps go on by the period where the clock stood still.
+    """Continue timestamps by the period where the clock stood still.
 
     A burst that comes at once is stamped late, after a step as long as itself. Where a clock stands
     still, the first timestamp is right, and the step to the next one is long or never comes.
@@ -418,7 +418,7 @@ def _moving(stamps: Array, nominal_s: float) -> tuple[Array, float, list[Standst
 
 
 def _turns(rest: Array, steps: Array, window: int, period_s: float) -> list[int]:
-    """Find where timestamps step back far because of another clock, or of one that was set.
+    """Find large steps back of timestamps, caused by another clock or a clock that was set.
 
     What came late is above the line, and what follows is on it. Before the first packet there is
     no line: that it was late is believed if it is not much later than others are.
@@ -556,7 +556,7 @@ def _jumps(
 
 
 def _rests(stamps: Array, turns: list[int], period_s: float) -> list[Array]:
-    """Return how far the timestamps of each part are above a line through its first one."""
+    """Return the distance of each part's timestamps above a line through its first one."""
     parts = [stamps[begin:end] for begin, end in pairwise([0, *turns, len(stamps)])]
     return [part - period_s * np.arange(len(part)) for part in parts]
 
@@ -648,7 +648,7 @@ def _is_stamped_at_once(steps: Array, period_s: float) -> bool:
 
 
 def _burst(steps: Array, period_s: float) -> int:
-    """Return how many samples share a timestamp, or nearly; 1 where none do."""
+    """Return the number of samples with (nearly) the same timestamp; 1 without bursts."""
     if not _is_stamped_at_once(steps, period_s):
         return 1
     ends = np.flatnonzero(np.abs(steps) > _AT_ONCE * period_s)

@@ -1,4 +1,4 @@
-"""Finds where the rate of a regular stream changes for good, as by other settings of its sender.
+"""Finds permanent changes of a regular stream's rate, such as by new settings of its sender.
 
 A line through all its timestamps would be seconds off, and steps that are twice as long would be
 thousands of gaps. So such a stream is cut into parts of one rate each.
@@ -136,7 +136,7 @@ def _filled(stamps: Array) -> Array:
 
 
 def _cuts(periods: Array) -> list[_Cut]:
-    """Return where all periods but one are longer than all but one before, or shorter."""
+    """Return where all periods except one are longer, or shorter, than all before except one."""
     if len(periods) < 2 * _SPANS:
         return []
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(periods, _SPANS), axis=1)
@@ -172,7 +172,7 @@ def _usual(periods: Array) -> float:
 
 
 def _without_delays(cuts: list[_Cut], periods: Array) -> list[_Cut]:
-    """Return the cuts without samples that came late, and then all at once."""
+    """Return the cuts without those caused by samples that came late and together."""
     bounds = [*(each.at for each in cuts), len(periods)]
     for number, (cut, end) in enumerate(zip(cuts, bounds[1:], strict=True)):
         # Behind them, the stamps are where they would be without.
@@ -201,7 +201,7 @@ def _corner(stamps: Array, before_s: float, after_s: float, samples: float) -> i
 
 
 def _is_loss(stamps: Array, fast_s: float) -> bool:
-    """Whether timestamps at the lower rate are those of the other one, of which many are missing.
+    """Whether timestamps at the lower rate belong to the other rate, with many samples missing.
 
     If they are exact, most steps are as long as before, or each is one period or more by chance.
     """

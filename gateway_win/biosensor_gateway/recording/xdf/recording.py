@@ -298,7 +298,7 @@ class RecordedStream:
 
     @property
     def rate_changes(self) -> tuple[RateChange, ...]:
-        """Where its rate changes for good."""
+        """Permanent changes of its rate."""
         curve = Curve()
         for stamps in self.stamps_in_blocks() if self.header.is_regular else ():
             curve.add(stamps)

@@ -155,7 +155,7 @@ def _gather(
 def _complete(
     given: NDArray[np.float64], is_stamped: NDArray[np.bool_], last_stamp: float, period: float
 ) -> NDArray[np.float64]:
-    """Fill in omitted timestamps, one period after the previous one each."""
+    """Fill in omitted timestamps, each one period after the previous one."""
     # Periods count from the last given timestamp, or from the previous chunk.
     anchors = np.concatenate(([last_stamp], given))
     latest = np.cumsum(is_stamped)

@@ -122,7 +122,7 @@ class SenderClock:
 
     @property
     def unused(self) -> str:
-        """Which clock offsets are not used, as the rest of a sentence; empty if all are."""
+        """The clock offsets that are not used, as the rest of a sentence; empty if all are."""
         is_used = is_plausible(self._offsets)
         if is_used.all():
             return ""
@@ -135,7 +135,7 @@ class SenderClock:
 
     @property
     def doubtful_spans(self) -> list[DoubtfulSpan]:
-        """Spans in which the clock was set by so little that times there are in doubt."""
+        """Spans in which the clock was set by so little that the times are uncertain."""
         found: list[DoubtfulSpan] = []
         for before, after in pairwise(self._lines):
             offset_before, offset_after = (
@@ -179,7 +179,7 @@ class SenderClock:
     def _look_further(
         self, stamps: NDArray[np.float64], near: Sequence[_Line], offsets: NDArray[np.float64]
     ) -> None:
-        """Replace the offsets of timestamps that are on a clock of long before or after."""
+        """Replace the offsets of timestamps from a clock run long before or after."""
         least_s = np.min([each.away(stamps) for each in near], axis=0)
         for line in self._lines if (least_s > _FAR_S).any() else ():
             away_s = line.away(stamps)

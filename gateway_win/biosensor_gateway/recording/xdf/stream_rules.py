@@ -222,7 +222,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
 
 
 def _held_up(length_s: float, at: float) -> Verdict:
-    """Explain a late report of the agent; its counts are cumulative, so none is lost."""
+    """Report that the agent's reports were late; its counts are cumulative, so nothing is lost."""
     text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
     if length_s < HELD_UP_S:
         return Level.NOTE, "held-up", f"{text}; nothing is missing"

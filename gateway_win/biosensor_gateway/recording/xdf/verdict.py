@@ -83,7 +83,7 @@ def judge(
 
 
 def about(header: RecordedHeader) -> About:
-    """Return what a finding about a stream is about."""
+    """Return the subject of a finding about a stream."""
     if not header.is_ours:
         return About.OTHERS
     is_own = header.is_counters or header.is_events or header.is_events_of_node
@@ -168,7 +168,7 @@ def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
 
 
 def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
-    """Report once for each replayed recording which streams came from it."""
+    """Report the streams of each replayed recording, once for each recording."""
     played = Counter(replay.title for each in measured if (replay := each.stream.header.replay))
     for title, count in played.items():
         streams = "1 stream is" if count == 1 else f"{count} streams are"
@@ -200,7 +200,7 @@ class _Told(NamedTuple):
 
 
 def judge_robot_clocks(streams: Sequence[Measured]) -> Iterator[Finding]:
-    """Report which streams from topics have timestamps of a clock not known to be right."""
+    """Report the streams of topics whose clock may be wrong."""
     heard = {
         each.stream.header.hostname: list(_heartbeats(each.stream.texts))
         for each in streams
@@ -248,7 +248,7 @@ def _clocks(topic: object) -> Iterator[_Told]:
 
 
 def _inside(content: object, name: str) -> Mapping[str, Any]:
-    """Return an object nested in another one; an empty one if there is none."""
+    """Return an object inside another one; empty if there is none."""
     inner = cast("Mapping[str, object]", content).get(name) if isinstance(content, dict) else None
     nothing: Mapping[str, Any] = {}
     return cast("Mapping[str, Any]", inner) if isinstance(inner, dict) else nothing

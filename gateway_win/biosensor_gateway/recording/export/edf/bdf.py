@@ -135,7 +135,7 @@ _SEPARATORS = str.maketrans({0x14: " ", 0x15: " ", 0x00: " "})
 
 
 def digital(values: NDArray[Any], channels: Sequence[Channel]) -> NDArray[np.int32]:
-    """Return the values as 24-bit integers; NaN becomes the minimum, which no value becomes.
+    """Return the values as 24-bit integers; NaN becomes the minimum, which no other value uses.
 
     Parameters
     ----------

@@ -292,7 +292,7 @@ def table(outcome: Outcome) -> list[tuple[str, str, str]]:
 
 
 def before_table(outcome: Outcome) -> Iterator[str]:
-    """Yield sentences about what is wrong with the recording."""
+    """Yield sentences about the problems of the recording."""
     known, places = outcome.survey, outcome.places
     if known.is_whole:
         yield (
@@ -320,7 +320,7 @@ def before_table(outcome: Outcome) -> Iterator[str]:
 
 
 def after_table(outcome: Outcome) -> Iterator[str]:
-    """Yield sentences about what was done."""
+    """Yield sentences about the result."""
     known = outcome.survey
     for number, orphans in known.orphans.items():
         name = f" ({printable(orphans.name)})" if orphans.name else ""

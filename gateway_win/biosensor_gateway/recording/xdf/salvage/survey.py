@@ -51,7 +51,7 @@ class Break(NamedTuple):
 
 
 class Rewrite(NamedTuple):
-    """A chunk that must get a number, or its first sample its own timestamp."""
+    """A chunk that needs a stream number, or whose first sample needs a timestamp."""
 
     start: int
     end: int
@@ -266,7 +266,7 @@ class Survey:
         return sorted([*self.unclosed, *wrong])
 
     def changes(self) -> Iterator[tuple[int, int, Rewrite | bytes | None]]:
-        """Yield what not to copy, in the order of the file: start, end, replacement."""
+        """Yield the parts not to copy, in the order of the file: start, end, replacement."""
         changes: list[tuple[int, int, Rewrite | bytes | None]] = [
             (each.start, each.end, framed(Tag.STREAM_HEADER, _numbered(number) + each.content))
             for number, each in self.new_headers.items()
