@@ -298,6 +298,37 @@ def test_the_begin_of_a_recording_with_overlaps_costs_no_sample(
     assert not any("left out" in each for each in told["remarks"])
 
 
+@pytest.mark.parametrize("what", ["late first packets", "a clock that stands still", "to the end"])
+def test_samples_whose_stamps_tell_nothing_are_used_and_it_is_said(
+    what: str, tmp_path: Path
+) -> None:
+    signal, beats = signals.ecg(130, 60)
+    stamps = BEGIN_S + np.arange(len(signal)) / 130
+    if what == "late first packets":
+        stamps[:100] = stamps[100] + np.arange(100) / 1000
+    else:
+        end = None if what == "to the end" else 4550
+        stamps[3900:end] = stamps[3900]
+    header = made.stream_header(1, "amp", kind="ECG", rate=130.0, source_id="a1")
+    rows, times = signal[:, np.newaxis].tolist(), stamps.tolist()
+    parts = [
+        made.samples(1, "float32", rows[at : at + 65], times[at : at + 65])
+        for at in range(0, len(rows), 65)
+    ]
+    path, target = tmp_path / "study.xdf", tmp_path / "features.csv"
+    path.write_bytes(made.xdf(header, *parts))
+    result = CliRunner().invoke(_COMMAND, [str(path), "--output", str(target), "--json"])
+    assert result.exit_code == 0, result.output
+    (remark,) = (each for each in json.loads(result.output)["remarks"] if "line" in each)
+    assert ("came late" if what == "late first packets" else "stood still") in remark
+    assert "left out" not in result.output
+    with target.open(encoding="utf-8", newline="") as file:
+        found = [row for row in csv.DictReader(file) if row["stream"].endswith("-beats")]
+    told = np.unique([float(row["time_s"]) for row in found]) - BEGIN_S
+    assert len(told) >= len(beats) - 3
+    assert np.abs(told[:, np.newaxis] - beats).min(axis=1).max() < 0.06
+
+
 def test_stamps_in_milliseconds_are_no_silence(tmp_path: Path) -> None:
     path = tmp_path / "study.xdf"
     stamps: list[float] = (1e3 * (BEGIN_S + np.arange(2600) / 130)).tolist()

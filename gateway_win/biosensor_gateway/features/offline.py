@@ -33,6 +33,7 @@ from biosensor_gateway.recording.contents.opening import (
     has_uneven_stamps,
     one_rate_each,
     open_contents,
+    with_steady_stamps,
     with_true_rates,
 )
 from biosensor_gateway.recording.contents.stream import Samples, Stream
@@ -218,9 +219,13 @@ def _computed(
 ) -> Iterator[tuple[Samples, list[Event]]]:
     # A copy, because the computer of a witness would replace the one of the whole recording.
     source = replace(source, header=replace(source.header, rate=stream.meaning.rate))
-    computer = source.new_computer(dict(witnesses), is_uneven=has_uneven_stamps(stream))
+    blocks, steadied = with_steady_stamps(stream)
+    is_uneven = not steadied and has_uneven_stamps(stream)
+    computer = source.new_computer(dict(witnesses), is_uneven=is_uneven)
+    if steadied:
+        remarks.append(f"{source.name}: {steadied}")
     samples: Samples | None = None
-    for samples in stream.blocks():
+    for samples in blocks:
         yield samples, computer.take(samples.stamps, samples.values)
     if samples is not None:
         yield samples, computer.finish()

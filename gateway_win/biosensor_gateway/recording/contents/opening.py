@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 
-from biosensor_gateway.recording.contents.stream import IndexedStream, Stream
+from biosensor_gateway.recording.contents.stream import IndexedStream, Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.event_rules import other_agent_told
-from biosensor_gateway.recording.xdf.measuring import first_of, is_exact, may_have_rate
-from biosensor_gateway.recording.xdf.pace import Pace, find_pace, rate_of
+from biosensor_gateway.recording.xdf.measuring import cuts_of, first_of, is_exact, may_have_rate
+from biosensor_gateway.recording.xdf.pace import Cuts, Pace, find_pace, rate_of
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, RateChange
 from biosensor_gateway.recording.xdf.recording import StreamSorter
 from biosensor_gateway.recording.xdf.stream_rules import MIN_SAMPLES_FOR_RATE, WRONG_RATE
@@ -138,6 +140,40 @@ def has_uneven_stamps(stream: Stream) -> bool:
     """Whether the stamps of another program's stream come in bursts or overlap."""
     pace = _pace(stream)
     return pace is not None and (pace.burst > 1 or pace.overlap_s > 0)
+
+
+def with_steady_stamps(stream: Stream) -> tuple[Iterator[Samples], str]:
+    """Return the samples of a stream, and what was done about their stamps; empty if nothing.
+
+    If its clock stood still, or its first samples came late, all stamps are those of the lines
+    that EDF has, as other stamps do not tell when these samples were measured.
+    """
+    header = stream.header
+    given = () if stream.order_error else (each.stamps for each in stream.blocks())
+    cuts = None if header.is_markers else cuts_of(given, header)
+    pace = None if cuts is None else cuts.pace
+    if cuts is None or pace is None or not (pace.standstills or pace.late_first):
+        return stream.blocks(), ""
+    why = [f"its clock stood still for {sum(each.count for each in pace.standstills)} samples"]
+    why = why if pace.standstills else []
+    why += [f"its first {pace.late_first} samples came late"] if pace.late_first else []
+    told = f"{' and '.join(why)}, so it has the times of a line through its earliest stamps"
+    return _on_lines(stream, cuts), told
+
+
+def _on_lines(stream: Stream, cuts: Cuts) -> Iterator[Samples]:
+    done = 0
+    for samples in stream.blocks():
+        stamps = samples.stamps.copy()
+        ends = [each - done for each in cuts.numbers if done < each < done + len(stamps)]
+        for begin, end in pairwise([0, *ends, len(stamps)]):
+            run = bisect_right(cuts.numbers, done + begin)
+            first = done + begin - (cuts.numbers[run - 1] if run else 0)
+            times = cuts.times(run, first, end - begin)
+            if times is not None:
+                stamps[begin:end] = times
+        done += len(stamps)
+        yield replace(samples, stamps=stamps, times=samples.times + stamps - samples.stamps)
 
 
 def _true_rate(stream: Stream) -> float | None:

@@ -100,7 +100,8 @@ class Curve:
             stamps = _filled(read(begin, end))
             place = _corner(stamps, before_s, after_s, max(_SPANS, length / 4))
             slow = stamps[place:] if after_s > before_s else stamps[:place]
-            if not _is_loss(slow, min(before_s, after_s)):
+            is_behind = not changes or changes[-1].at < begin + place
+            if is_behind and not _is_loss(slow, min(before_s, after_s)):
                 stamp_s = float(stamps[place])
                 changes.append(RateChange(begin + place, stamp_s, 1 / before_s, 1 / after_s))
         return tuple(changes)
@@ -161,14 +162,19 @@ def _told(cuts: Sequence[int], periods: Array) -> list[_Cut]:
     ]
     usual = [_usual(periods[begin:end]) for begin, end in inner]
     found = [_Cut(*each) for each in zip(cuts, usual[:-1], usual[1:], strict=True)]
-    kept = [each.at for each in found if abs(math.log(each.after / each.before)) > _LEAST]
+    kept = [
+        each.at
+        for each in found
+        if min(each.before, each.after) > 0 and abs(math.log(each.after / each.before)) > _LEAST
+    ]
     return found if len(kept) == len(found) else _told(kept, periods)
 
 
 def _usual(periods: Array) -> float:
     """Return the mean period without those of spans with gaps."""
     middle = float(np.median(periods))
-    return float(periods[np.abs(periods - middle) <= middle / 4].mean())
+    is_usual = np.abs(periods - middle) <= middle / 4
+    return float(periods[is_usual].mean()) if is_usual.any() else middle
 
 
 def _without_delays(cuts: list[_Cut], periods: Array) -> list[_Cut]:
