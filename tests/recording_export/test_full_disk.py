@@ -6,12 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporting import Task, export
 from tests.recording_export import odd_shapes
-from tests.recording_export.study import study
+from tests.recording_export.study import BEGIN_S, ecg_values, ours, study
+from tests.xdf import xdf_file as made
 
 pytestmark = pytest.mark.system
 
@@ -100,6 +102,58 @@ def test_a_withdrawal_says_of_each_file_that_it_was_not_done(spoilt: str, tmp_pa
     assert said.count("still there: ") >= len(undone)
     assert said.splitlines()[-1] == "exit code 1"
     assert is_as_before
+
+
+def test_a_withdrawal_on_a_full_disk_loses_nothing_and_goes_on(tmp_path: Path) -> None:
+    """A person's own file makes room for the small ones, and the large one waits for more."""
+    stamps = BEGIN_S + np.arange(40_000) / 130
+    both = [
+        ours(at, "polar_h10", "ecg", ecg_values(len(stamps), at), stamps, name)
+        + made.footer(at, len(stamps))
+        for at, name in enumerate(("P07", "P08"), 1)
+    ]
+    (tmp_path / "a.xdf").write_bytes(made.xdf(*both))
+    (tmp_path / "sub-P07_beh.xdf").write_bytes(made.xdf(both[0][: len(both[0]) // 20]))
+    (tmp_path / "disk").mkdir()
+    script = f"""
+    set -e
+    mount -t tmpfs -o size=2m tmpfs {tmp_path}/disk
+    cd {tmp_path}/disk
+    mkdir study
+    cp {tmp_path}/*.xdf study
+    printf 'P07 was tired\nnobody else was\n' > study/notes.txt
+    dd if=/dev/zero of=fill bs=1k 2>/dev/null || true
+    before=$(sha256sum < study/a.xdf)
+    set +e
+    {PROGRAM} withdraw P07 study --yes
+    echo "exit code $?"
+    test "$before" = "$(sha256sum < study/a.xdf)" && echo as before
+    ls -A study
+    rm fill
+    {PROGRAM} withdraw P07 study --yes
+    echo "exit code $?"
+    {PROGRAM} xdf export study/a.xdf --to csv --output {tmp_path}/a_csv
+    """
+    said = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=DEADLINE_S,
+        check=True,
+    ).stdout
+    first, _, second = said.partition("as before\n")
+    (undone,) = (line for line in first.splitlines() if line.startswith("not done: "))
+    assert "study/a.xdf" in undone
+    assert undone.endswith(
+        "free some space on that disk, and give the command again: the rest is done"
+    )
+    assert "exit code 1" in first
+    assert second.splitlines()[:2] == ["a.xdf", "notes.txt"]
+    assert "exit code 0" in second
+    (table,) = (tmp_path / "a_csv").glob("P0*.csv")
+    assert table.name.startswith("P08")
+    assert len(table.read_text().splitlines()) == 1 + len(stamps)
 
 
 def test_a_withdrawal_does_nothing_if_its_report_cannot_be_written(tmp_path: Path) -> None:

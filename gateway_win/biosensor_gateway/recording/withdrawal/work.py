@@ -282,9 +282,9 @@ class Report:
 def carry_out(plan: Plan) -> Report:
     """Execute a plan file by file, and search the remaining files."""
     person = Person(plan.person, shares_label=plan.shares_label)
-    done = [
-        each for step in plan.steps if step.action is not Action.LOOK for each in _do(step, person)
-    ]
+    # What is deleted makes room for what is written again.
+    steps = sorted(plan.steps, key=lambda each: each.action is not Action.DELETE)
+    done = [each for step in steps if step.action is not Action.LOOK for each in _do(step, person)]
     looked_at = tuple(each for each in plan.steps if each.action is Action.LOOK)
     left: list[Left] = []
     searched = 0
@@ -320,16 +320,18 @@ def _do(step: Step, person: Person) -> Iterator[Done]:
             yield Done(path, step.action, "", digest(path))
 
 
-_NOT_WRITTEN = frozenset(
-    {errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EBUSY}
-)
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_NOT_WRITTEN = frozenset({*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EBUSY})
 
 
 def _why(step: Step, error: Exception) -> str:
     """Return why a step failed; readers may report an error of writing as their own."""
     for each in (error, error.__cause__):
         if isinstance(each, OSError) and each.errno in _NOT_WRITTEN:
-            return cannot_write(step.path, each)
+            is_full = each.errno in _FULL
+            advice = "free some space on that disk, and give the command again: the rest is done"
+            message = f"cannot write {step.path}: {each.strerror}; {advice}"
+            return message if is_full else cannot_write(step.path, each)
     return str(error)
 
 
