@@ -18,7 +18,9 @@ from biosensor_gateway.cli.bag import app
 from biosensor_gateway.recording.bag.headers import TOPIC, RecordedStream, listed_facts, stream_text
 from biosensor_gateway.recording.bag.importing import Imported, import_bag
 from biosensor_gateway.recording.bag.types import EVENT, SAMPLES, BagError, BagReason
+from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import judge
@@ -188,8 +190,13 @@ def test_a_bag_of_the_node_becomes_its_streams_and_the_same_topics_again(tmp_pat
     np.testing.assert_allclose(first.stamps, second.stamps, rtol=0, atol=1e-6)
 
 
-def test_texts_beside_numbers_are_said_to_be_left_out(tmp_path: Path) -> None:
-    diagnosed = TYPES["diagnostic_msgs/msg/DiagnosticStatus"](1, "motor", "hot", "U1", [])
+def test_texts_beside_numbers_are_a_stream_of_their_own(tmp_path: Path) -> None:
+    pair = TYPES["diagnostic_msgs/msg/KeyValue"]
+    told: Any = [pair("speed", "3"), pair("mode", "slow \N{SNOWMAN}")]
+    diagnosed = TYPES["diagnostic_msgs/msg/DiagnosticStatus"](1, "motor", "hot", "U1", told)
+    logged = TYPES["rcl_interfaces/msg/Log"](
+        TYPES["builtin_interfaces/msg/Time"](1, 2), 20, "node", "stim_3", "a.cpp", "main", 7
+    )
     joints = TYPES["sensor_msgs/msg/JointState"](
         _header(BEGIN_NS), ["elbow"], np.array([0.5]), np.empty(0), np.empty(0)
     )
@@ -197,13 +204,35 @@ def test_texts_beside_numbers_are_said_to_be_left_out(tmp_path: Path) -> None:
         tmp_path / "live",
         [
             ("/state", "diagnostic_msgs/msg/DiagnosticStatus", BEGIN_NS, diagnosed),
+            ("/state", "diagnostic_msgs/msg/DiagnosticStatus", BEGIN_NS + 10**9, diagnosed),
             ("/joints", "sensor_msgs/msg/JointState", BEGIN_NS, joints),
+            ("/log", "rcl_interfaces/msg/Log", BEGIN_NS, logged),
         ],
     )
     imported = import_bag(tmp_path / "live", tmp_path / "live.xdf")
+    assert imported.left_out == {}
+    with open_contents(tmp_path / "live.xdf") as contents:
+        texts = {
+            each.header.name: [
+                json.loads(text) for block in each.blocks() for (text,) in block.values
+            ]
+            for each in contents.streams
+            if each.header.name.endswith("__text")
+        }
+        events = [text for _, text in markers(choose(contents, Selection()))]
+    told_once = {
+        "name": "motor",
+        "message": "hot",
+        "hardware_id": "U1",
+        "values": [{"key": "speed", "value": "3"}, {"key": "mode", "value": "slow \N{SNOWMAN}"}],
+    }
     # What only names numbers is in their labels.
-    assert {key.partition(".")[0] for key in imported.left_out} == {"/state"}
-    assert imported.left_out["/state.message"] == "it is text next to numbers"
+    assert texts == {
+        "state__text": [told_once, told_once],
+        "log__text": [{"name": "node", "msg": "stim_3", "file": "a.cpp", "function": "main"}],
+    }
+    # Each is an event in all exports.
+    assert len(events) == 3
 
 
 def test_the_nodes_list_of_streams_tells_what_its_topics_do_not(tmp_path: Path) -> None:

@@ -176,10 +176,7 @@ class _Conversion:
                     self._survey.raw_type(name),
                 )
             else:
-                sink = AnyTopic(topic, self._new_stream_of(name), self._wall.to_lsl)
-                self._sinks[name] = sink
-                for path in sink.texts:
-                    self.left_out[f"{name}.{path}"] = "it is text next to numbers"
+                self._sinks[name] = AnyTopic(topic, self._new_stream_of(name), self._wall.to_lsl)
         except MessageError as error:
             self.left_out[name] = str(error)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
 from typing import Any, Protocol
 
 import numpy as np
@@ -289,13 +290,39 @@ class StampedTopic:
         return [tuple(map(str, told))]  # pyright: ignore[reportUnknownArgumentType]
 
 
-def _is_label(field: Field) -> bool:
-    """Whether a text only describes numbers, so it needs no stream."""
-    return field.name in NAMES or field.name.endswith("frame_id") or field.path.startswith("layout")
+# As `ros_to_lsl` calls it.
+_TEXT = "__text"
+
+
+def _texts_in(fields: Iterable[Field]) -> tuple[Field, ...]:
+    """Return the fields of text, and the lists of messages with some; not the names of numbers."""
+    return tuple(each for each in fields if _is_told(each) or _texts_in(each.elements))
+
+
+def _is_told(field: Field) -> bool:
+    names_numbers = field.name in NAMES and field.is_array
+    is_frame = field.name.endswith("frame_id")
+    return field.kind is FieldKind.TEXT and not (names_numbers or is_frame)
+
+
+def _told_in(message: Any, fields: Iterable[Field]) -> dict[str, object]:
+    """Return the texts of a message by path."""
+    told: dict[str, object] = {}
+    for each in fields:
+        value = attrgetter(each.path)(message)
+        if each.elements:
+            inner = _texts_in(each.elements)
+            told[each.path] = [_told_in(one, inner) for one in value]
+        else:
+            told[each.path] = [str(one) for one in value] if each.is_array else str(value)
+    return told
 
 
 class AnyTopic:
-    """A topic of any type with numbers, or with text only."""
+    """A topic of any type with numbers, or with text only.
+
+    Texts next to numbers become a second stream, whose name ends in ``__text``, as live.
+    """
 
     def __init__(self, topic: Topic, new_stream: NewStream, to_lsl: ToLsl) -> None:
         self._topic, self._kind = topic, MessageType(topic)
@@ -304,14 +331,9 @@ class AnyTopic:
         self._fields = fields_of(definition)
         leaves = [each for each in all_fields(self._fields) if each.kind is not FieldKind.MESSAGE]
         self._has_numbers = any(each.kind is not FieldKind.TEXT for each in leaves)
-        # Paths of text fields left out because the message also has numbers, but not of names of
-        # elements and frames.
-        self.texts = tuple(
-            each.path
-            for each in leaves
-            if not self._bulk and self._has_numbers
-            if each.kind is FieldKind.TEXT and not _is_label(each)
-        )
+        # Text fields of a message that also has numbers; they become a stream of their own.
+        self._texts = _texts_in(self._fields) if self._has_numbers and not self._bulk else ()
+        self._text_writer: StreamWriter | None = None
         self._new_stream, self._to_lsl = new_stream, to_lsl
         self._writers: dict[tuple[tuple[str, str], ...], StreamWriter] = {}
         self._layout: Layout | None = None
@@ -327,10 +349,26 @@ class AnyTopic:
         """
         read = self._kind.read(message.content)
         stamp_ns = self._stamp_ns(read) or message.unix_ns
+        if self._texts:
+            self._take_texts(read, self._to_lsl(np.array([stamp_ns])))
         values = self._values(read)
         samples: Any = np.array([values]) if values else [(str(read.data),)]
         assert self._writer is not None
         self._writer.add(self._to_lsl(np.array([stamp_ns])), samples)
+
+    def _take_texts(self, message: Any, times: NDArray[np.float64]) -> None:
+        """Write the texts of a message as one sample: the only one as it is, or all as JSON."""
+        if self._text_writer is None:
+            topic = self._topic
+            form, channels = ChannelFormat.STRING, (("text", ""),)
+            facts = facts_of_topic(f"{topic.name}{_TEXT}", topic.type_name, channels, form, 0)
+            source = "header" if self._stamp_ns(message) else "log"
+            origin = Origin(topic.name, topic.type_name, source)
+            self._text_writer = self._new_stream(header_xml(facts, origin), form, 1)
+        told = _told_in(message, self._texts)
+        only = next(iter(told.values())) if len(told) == 1 else told
+        text = only if isinstance(only, str) else json.dumps(only, ensure_ascii=False)
+        self._text_writer.add(times, [(text,)])
 
     def _values(self, message: Any) -> Sequence[float]:
         """Return the numbers of a message; a changed layout starts a new stream."""
