@@ -212,7 +212,7 @@ def _require_usable(parser: configparser.ConfigParser, path: Path) -> None:
 
 
 def _wanted_instead(section: str, key: str, text: str) -> str:
-    """Say what a value should be; empty if it is that."""
+    """Return a phrase for what a wrong value should be; empty if the value is usable."""
     wanted = ""
     if key.startswith("["):
         wanted = "a section, with its ']'"
@@ -244,7 +244,7 @@ def _are_addresses(text: str) -> bool:
 
 
 def has_braces(text: str) -> bool:
-    """Whether liblsl takes a value for several ones; of any other one it makes none, silently."""
+    """Whether a list is in braces; liblsl silently reads a list without them as empty."""
     return text.startswith("{") and text.endswith("}")
 
 
@@ -356,7 +356,7 @@ class LslApiFile:
 
     @property
     def has_braces_around_peers(self) -> bool:
-        """Whether liblsl takes `known_peers` for what they are."""
+        """Whether `known_peers` are in braces, without which liblsl ignores them."""
         return has_braces(self._get(PEERS))
 
     @property

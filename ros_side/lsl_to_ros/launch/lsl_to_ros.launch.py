@@ -2,7 +2,7 @@
 
 ``ros2 launch lsl_to_ros lsl_to_ros.launch.py namespace:=lab known_peers:="[192.168.1.20]"``
 
-Several nodes share the streams of a lab, each under a name of its own:
+Several nodes can share the streams of a lab if they have different names:
 ``node_name:=lsl_eeg stream_predicate:="type='EEG'"``
 """
 

@@ -2,7 +2,7 @@
 
 ``ros2 launch lsl_to_ros ros_to_lsl.launch.py topics:="[/joint_states, /odom]"``
 
-What belongs to one topic alone, such as its fields, is in a parameter file:
+Settings of a single topic, such as its fields, belong in a parameter file:
 ``params_file:=ros_to_lsl.yaml``
 """
 

@@ -30,7 +30,7 @@ class LimitedLog:
             self._logger.warning(text)
 
     def inform(self, sentence: str) -> None:
-        """Log an information, or count it as suppressed."""
+        """Log a line at level INFO, or count it as suppressed."""
         text = self._admit(sentence)
         if text:
             self._logger.info(text)

@@ -487,7 +487,7 @@ class Growth:
                 yield Finding(Level.WARNING, "refused", stream.header.title, each)
 
     def gone(self) -> Iterator[Finding]:
-        """Yield devices that their agent no longer has, e.g. after a restart with other settings."""
+        """Yield devices that their agent no longer has, as after a restart with other settings."""
         for log in (each.log for each in self._streams.values() if each.log):
             for device, since_s in log.gone.items():
                 text = (

@@ -1,6 +1,6 @@
 """Checks the DDS variables, that local nodes find each other, and that one lsl_to_ros runs.
 
-The test uses two real nodes in separate processes, as any two nodes are. The
+The test uses two real nodes in separate processes. The
 variables are those of ROS 2 Jazzy; https://docs.ros.org/en/jazzy/Tutorials/Advanced/
 Improved-Dynamic-Discovery.html. What ROS does with values that are wrong was measured
 with rclpy 7.1 and Fast DDS 2.14.

@@ -180,7 +180,7 @@ _SHARED = (QOS_OVERRIDES, "diagnostic_updater.")
 
 
 def is_of_ros(name: str) -> bool:
-    """Whether a parameter is not of this node alone, so that any node must bear it."""
+    """Whether a parameter belongs to ROS itself, so that every node must accept it."""
     return name in _OF_ROS or name.startswith(_SHARED)
 
 

@@ -162,7 +162,7 @@ class Parameters:
         return self._node.get_parameter(key).value
 
     def _check_given(self) -> None:
-        """Check what a file or the command line gives, which no callback has seen."""
+        """Check values from a file or the command line, for which no callback is called."""
         given: dict[str, object] = {}
         for name, parameter in self._node.get_parameters_by_prefix("").items():
             if name in REMOVED:
@@ -179,7 +179,7 @@ class Parameters:
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _asked(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Record parameters that a user sets; declared ones do not come this way."""
+        """Record which parameters a user sets; rclpy does not call this for declarations."""
         self._asked_for = {parameter.name for parameter in parameters}
         return [Parameter(each.name) if _is_unset(each) else each for each in parameters]
 

@@ -235,7 +235,7 @@ def status(
 
 
 def words_of(refusals: Refusals) -> str:
-    """Return the total counts of refusals since the start, by their words."""
+    """Return each kind of refusal with its count since the start, as text."""
     return ", ".join(f"{each.what.word} {each.count}" for each in refusals.all)
 
 

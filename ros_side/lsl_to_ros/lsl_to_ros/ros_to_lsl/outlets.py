@@ -161,7 +161,7 @@ def _note_own(outlet: LslOutlet) -> None:
 class OtherOutlets:
     """Finds outlets of other processes with source_ids as this process gives them.
 
-    Their nodes may be called otherwise, and may send another topic by the same name.
+    Their nodes may have other names, and may send a different topic of the same name.
     """
 
     def __init__(self) -> None:
