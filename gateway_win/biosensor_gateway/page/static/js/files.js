@@ -101,7 +101,7 @@ function Export({ path, isFile }) {
     <h3 id="export">Export</h3>
     <form onSubmit=${start} aria-labelledby="export">
       ${formats.map((each) => html`<label class="check"><input type="checkbox" checked=${chosen.has(each)} onChange=${toggle(each)} /> ${MEANT[each] ?? each}</label>`)}
-      ${isFile && html`<label class="check"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings in its folder</label>`}
+      ${isFile && html`<label class="check alone"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings in its folder</label>`}
       <label class="wide">Save to this folder<input type="text" size="40" placeholder="next to the recording" value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
       <label class="wide">Participant, if file name and sensors differ
         <select value=${whose} onChange=${(event) => setWhose(event.target.value)}>
