@@ -33,6 +33,7 @@ from biosensor_gateway.devices.registry import (
 )
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
@@ -160,6 +161,15 @@ def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
     (sentence,) = search.place_of(BLUETOOTH, (strap,), ()).advice
     assert sentence.startswith("macOS shows identifiers instead of addresses: another computer")
     assert search.place_of(BLUETOOTH, (address,), ()).advice == []
+
+
+def test_what_the_settings_have_by_now_is_known() -> None:
+    strap = Found("polar_h10", "Strap", {"unit": "1", "device": "C8:25:00:00:00:01"})
+    place = search.place_of(BLUETOOTH, (strap,), ())
+    (found,) = place.found
+    for configured in ((), (DeviceSettings(sensor="polar_h10", unit="1"),), ()):
+        search.mark_known([place], configured)
+        assert found.is_known == bool(configured)
 
 
 @pytest.mark.nightly
