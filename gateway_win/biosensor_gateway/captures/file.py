@@ -32,13 +32,14 @@ Place = Annotated[
     str, StringConstraints(pattern=rf"^(?:[0-9a-f-]{{0,36}}|{ASKING}|{CONTROL}|{DATA})$")
 ]
 """A characteristic, or a port of a device that has several."""
-_STRICT = ConfigDict(extra="forbid", frozen=True)
 
 
-class Advertised(BaseModel):
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Advertised(_Part):
     """The advertisement of a Bluetooth LE device."""
-
-    model_config = _STRICT
 
     address: Text
     name: Text = ""
@@ -47,20 +48,16 @@ class Advertised(BaseModel):
     manufacturer: Mapping[int, Hex] = Field(default_factory=dict[int, Hex])
 
 
-class Row(BaseModel):
+class Row(_Part):
     """One characteristic of a GATT table."""
-
-    model_config = _STRICT
 
     uuid: Uuid
     service: Uuid
     properties: tuple[Text, ...]
 
 
-class Event(BaseModel):
+class Event(_Part):
     """One event on a link."""
-
-    model_config = _STRICT
 
     t: float  # Seconds since the first link was opened.
     link: int = Field(ge=0)  # Number of the connection, from 0.
@@ -91,10 +88,8 @@ class Arrivals(StrEnum):
     """They are the device's own, so that nothing can be said of stamps."""
 
 
-class Header(BaseModel):
+class Header(_Part):
     """Description of a capture."""
-
-    model_config = _STRICT
 
     biosensor_capture: Literal[1] = 1
     sensor: Text
@@ -120,10 +115,8 @@ class Header(BaseModel):
     arrivals: Arrivals = Arrivals.MEASURED
 
 
-class Capture(BaseModel):
+class Capture(_Part):
     """A header, and events in the order of their times."""
-
-    model_config = _STRICT
 
     header: Header
     events: tuple[Event, ...]

@@ -10,12 +10,18 @@ from enum import StrEnum, unique
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
 from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import Finding, by_event
+
+
+class Body(BaseModel):
+    """What a request contains; one with other fields or types is refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class ScreenStream(BaseModel):

@@ -45,10 +45,14 @@ def _origin(value: str) -> str:
     return value
 
 
-class WebMarkerSettings(BaseModel):
-    """Which web pages may send markers."""
+class Section(BaseModel):
+    """A part of the settings file; unknown fields and other types are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class WebMarkerSettings(Section):
+    """Which web pages may send markers."""
 
     origins: tuple[Annotated[str, AfterValidator(_origin)], ...] = Field(
         default=(),
@@ -120,10 +124,8 @@ ButtonText = Annotated[
 """The same for a button, whose name cannot be empty."""
 
 
-class LslSettings(BaseModel):
+class LslSettings(Section):
     """How the agent takes part in the Lab Streaming Layer."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     session_id: Annotated[str, AfterValidator(_session)] = Field(
         default="",
@@ -151,10 +153,8 @@ class LslSettings(BaseModel):
         return LslOverrides(self.session_id, self.known_peers, port_range)
 
 
-class LogSettings(BaseModel):
+class LogSettings(Section):
     """What is logged, and how much of it is kept."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     level: Literal["debug", "info", "warning", "error"] = Field(
         default="info",
@@ -168,10 +168,8 @@ class LogSettings(BaseModel):
     )
 
 
-class EventSettings(BaseModel):
+class EventSettings(Section):
     """Settings of the stream gateway/events."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     heartbeat_s: float = Field(
         default=5.0,
@@ -183,10 +181,8 @@ class EventSettings(BaseModel):
     )
 
 
-class MarkerSettings(BaseModel):
+class MarkerSettings(Section):
     """How the experimenter marks what happens in the stream gateway/markers."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     buttons: Annotated[tuple[ButtonText, ...], AfterValidator(_all_different)] = Field(
         default=("baseline", "stimulus on", "stimulus off"),
@@ -200,10 +196,8 @@ class MarkerSettings(BaseModel):
     )
 
 
-class PowerSettings(BaseModel):
+class PowerSettings(Section):
     """Settings about the power management of the agent's computer."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     keep_awake: bool = Field(
         default=True,
@@ -213,15 +207,13 @@ class PowerSettings(BaseModel):
     )
 
 
-class DeviceSettings(BaseModel):
+class DeviceSettings(Section):
     """Settings of every device; each driver adds its own fields in a subclass.
 
     A subclass uses only scalars, lists (``tuple`` with ``strict=False``) and
     ``Literal`` for choices. Every field has a description, and a required field
     has an example, which the template shows.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     sensor: str = Field(description="Kind of sensor.")
     unit: UnitText = Field(

@@ -9,21 +9,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter
+from pydantic import BaseModel, Field, StringConstraints, TypeAdapter
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.markers import MAX_TEXT, MAX_WEB_AGE_S
+from biosensor_gateway.page.models import Body
 from biosensor_gateway.streaming.markers import MarkerKind, TimedBy, Timing
 
 _Text = Annotated[str, StringConstraints(max_length=MAX_TEXT)]
 _Milliseconds = Annotated[float, Field(allow_inf_nan=False, strict=False)]
 _LARGEST = 2**53
 _Number = Annotated[int, Field(ge=0, le=_LARGEST)]
-_STRICT = ConfigDict(extra="forbid", strict=True)
 
 
-class NewMark(BaseModel):
+class NewMark(Body):
     """A marker in a POST request.
 
     Attributes
@@ -32,14 +32,12 @@ class NewMark(BaseModel):
         Age of the marker in milliseconds; None if it happens now.
     """
 
-    model_config = _STRICT
-
     marker: _Text
     note: _Text = ""
     age_ms: Annotated[float, Field(ge=0, le=1000 * MAX_WEB_AGE_S, strict=False)] | None = None
 
 
-class Hello(BaseModel):
+class Hello(Body):
     """The first message of a page.
 
     Attributes
@@ -50,25 +48,21 @@ class Hello(BaseModel):
         Resolution of the browser's clock in milliseconds.
     """
 
-    model_config = _STRICT
-
     type: Literal["hello"]
     token: Annotated[str, StringConstraints(max_length=200)]
     client: Annotated[str, StringConstraints(max_length=64)] = ""
     resolution_ms: Annotated[float, Field(ge=0, le=1000, strict=False)] = 1.0
 
 
-class Pong(BaseModel):
+class Pong(Body):
     """The answer to a ping: the browser's time in milliseconds."""
-
-    model_config = _STRICT
 
     type: Literal["pong"]
     n: _Number
     at: _Milliseconds
 
 
-class Mark(BaseModel):
+class Mark(Body):
     """A marker.
 
     Attributes
@@ -78,8 +72,6 @@ class Mark(BaseModel):
     at
         The browser's time in milliseconds at which it happened; None for when it arrives.
     """
-
-    model_config = _STRICT
 
     type: Literal["mark"]
     ref: _Number

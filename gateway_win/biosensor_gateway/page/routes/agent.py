@@ -22,7 +22,7 @@ from biosensor_common.errors import (
 from biosensor_gateway.agent.control import stop_agent
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import declaration, driver
-from biosensor_gateway.page.models import AgentState, Choice, Outcome, StatusView
+from biosensor_gateway.page.models import AgentState, Body, Choice, Outcome, StatusView
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.routes.devices import (
     SettingsChange,
@@ -78,10 +78,8 @@ def _ask_first(session: Session, devices: Sequence[DeviceSettings], change: Sett
 _LOOK_S = 0.2
 
 
-class Quitting(BaseModel):
+class Quitting(Body):
     """Whether the agent and a recording end with the page, or continue."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     rest: Literal["end", "leave"]
 
@@ -147,10 +145,10 @@ class SecretView(BaseModel):
     problem: str = ""
 
 
-class NewSecret(BaseModel):
+class NewSecret(Body):
     """A secret to store. Its text is in no answer, log or error."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, hide_input_in_errors=True)
+    model_config = ConfigDict(hide_input_in_errors=True)
 
     sensor: str
     name: str

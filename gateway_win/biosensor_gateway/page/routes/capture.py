@@ -6,7 +6,7 @@ import asyncio
 from typing import Literal
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent.control import stop_agent
@@ -20,7 +20,7 @@ from biosensor_gateway.captures.draft import (
     Phase,
 )
 from biosensor_gateway.devices.registry import sensor_title
-from biosensor_gateway.page.models import Choice, Outcome
+from biosensor_gateway.page.models import Body, Choice, Outcome
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.routes.devices import started
 from biosensor_gateway.page.routes.replay import whole_path
@@ -31,7 +31,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.settings.places import usual_recordings_folder
 
 
-class NewCapture(BaseModel):
+class NewCapture(Body):
     """The device to capture: by its unit in the settings, or by new settings for a found device.
 
     Attributes
@@ -44,8 +44,6 @@ class NewCapture(BaseModel):
         Whether the agent may be ended if it has the device; it is started again afterwards.
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True)
-
     sensor: str
     unit: str = ""
     settings: dict[str, str | int | float | bool] = Field(default_factory=dict)
@@ -53,7 +51,7 @@ class NewCapture(BaseModel):
     end_agent: bool = False
 
 
-class Agreement(BaseModel):
+class Agreement(Body):
     """The wearer's consent to what `CaptureView.consent` says.
 
     Attributes
@@ -63,8 +61,6 @@ class Agreement(BaseModel):
     note
         Observations, without names.
     """
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     agreed: Literal[True]
     folder: str

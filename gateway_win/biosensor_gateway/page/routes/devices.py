@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
@@ -21,6 +21,7 @@ from biosensor_gateway.agent.selection import described, device_name
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.page.models import (
+    Body,
     Choice,
     Outcome,
 )
@@ -36,7 +37,7 @@ from biosensor_gateway.system.logs import LOG_FILE_NAME
 from biosensor_gateway.system.terminal import on_one_line, sentence_of
 
 
-class SettingsChange(BaseModel):
+class SettingsChange(Body):
     """A change of the settings.
 
     Attributes
@@ -44,8 +45,6 @@ class SettingsChange(BaseModel):
     while_recording
         Whether to make the change during a recording.
     """
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     while_recording: bool = False
 
@@ -59,10 +58,8 @@ class NewDevice(SettingsChange):
     label: ShortText = ""
 
 
-class DeviceName(BaseModel):
+class DeviceName(Body):
     """Identifies a device."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     sensor: str
     unit: UnitText

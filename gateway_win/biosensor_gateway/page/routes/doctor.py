@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 
 from biosensor_common.doctor.check import AGENT, checks_of
 from biosensor_common.doctor.network_check import (
@@ -25,6 +25,7 @@ from biosensor_common.doctor.network_check.sides import ANSWER_PORT, Answerer
 from biosensor_common.doctor.report import Report, content, printable, run_checks
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.doctor.context import read_context
+from biosensor_gateway.page.models import Body
 from biosensor_gateway.page.routes.api import OneAtATime
 from biosensor_gateway.page.session import Session
 
@@ -78,10 +79,8 @@ HostText = Annotated[str, StringConstraints(min_length=1, max_length=253, patter
 CodeText = Annotated[str, StringConstraints(min_length=1, max_length=16)]
 
 
-class OtherComputer(BaseModel):
+class OtherComputer(Body):
     """The other computer, and the code that it shows."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     host: HostText
     code: CodeText

@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.markers import LISTED
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.models import (
+    Body,
     MarkersView,
     MarkerView,
     Outcome,
@@ -24,28 +24,22 @@ from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings import editor
 
 
-class NewMarker(BaseModel):
+class NewMarker(Body):
     """A marker of the experimenter: a button, or a note."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     marker: str
     note: str = ""
     kind: Literal["button", "note"] = "button"
 
 
-class MarkerButtons(BaseModel):
+class MarkerButtons(Body):
     """The names of the buttons, in their order."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     buttons: list[str]
 
 
-class MarkerNumber(BaseModel):
+class MarkerNumber(Body):
     """Identifies a marker; without a number, the last that is not undone."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     id: int | None = None
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
@@ -22,6 +21,7 @@ from biosensor_gateway.agent.device_states import (
     is_sending,
 )
 from biosensor_gateway.page.models import (
+    Body,
     Choice,
     Outcome,
     PathText,
@@ -51,7 +51,7 @@ from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings.places import usual_recordings_folder, warnings_of
 
 
-class NewRecording(BaseModel):
+class NewRecording(Body):
     """Name of a new recording, by BIDS entities, with its folder and options.
 
     Attributes
@@ -69,8 +69,6 @@ class NewRecording(BaseModel):
     without_away
         Record even if sensors are paused or do not stream.
     """
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     participant: str
     session: str = "S001"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pylsl import local_clock
 
 from biosensor_common import naming
@@ -26,6 +26,7 @@ from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.live import Traces, is_of_now
 from biosensor_gateway.page.models import (
+    Body,
     LongText,
     Outcome,
     PathText,
@@ -87,10 +88,8 @@ class RecordingContents(BaseModel):
     problems: list[str]
 
 
-class RecordingPath(BaseModel):
+class RecordingPath(Body):
     """Identifies a recording."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     path: PathText
 

@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.devices.registry import driver
 from biosensor_gateway.doctor import scan
 from biosensor_gateway.doctor.device_test import DeviceTestResult, described, run_device_test
 from biosensor_gateway.doctor.scan import SearchedPlace
+from biosensor_gateway.page.models import Body
 from biosensor_gateway.page.routes.api import OneAtATime
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.models import DeviceSettings
@@ -108,10 +109,8 @@ class Search:
 TRIAL_S = 5.0
 
 
-class Candidate(BaseModel):
+class Candidate(Body):
     """A device to test, with the fields that its table in the settings would have."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     sensor: str
     settings: dict[str, str | int | float | bool]
