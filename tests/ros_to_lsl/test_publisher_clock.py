@@ -229,6 +229,38 @@ def test_a_clock_that_is_set_to_and_fro_is_not_called_synchronised(share: float)
     assert clock.state is ClockState.BEHIND
 
 
+@pytest.mark.parametrize("rate", [0.5, 1, 2, 5])
+@pytest.mark.parametrize("late_s", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize("share", [0.2, 0.45])
+def test_a_clock_that_is_behind_at_times_is_noticed_on_a_topic_that_is_slow(
+    rate: float, late_s: float, share: float
+) -> None:
+    clock = PublisherClock()
+    wrong = 0
+    for number in range(round(240 * rate)):
+        passed_s = number / rate
+        true_ns = NOW_NS + round(passed_s * NS_PER_S)
+        is_late = passed_s % 40 > 40 * (1 - share)
+        jitter_ns = number % 3 * MILLISECOND
+        clock.observe(
+            true_ns - round(late_s * is_late * NS_PER_S), true_ns + MILLISECOND + jitter_ns
+        )
+        wrong += is_late and clock.state is ClockState.SYNCHRONISED
+    assert clock.state is ClockState.BEHIND
+    # Until it was noticed, twice.
+    assert wrong <= 2 * max(3, 2 * rate + 1)
+
+
+@pytest.mark.parametrize("rate", [0.5, 1, 5])
+def test_messages_of_a_slow_topic_that_come_late_by_the_way_are_forgiven(rate: float) -> None:
+    clock, chance = PublisherClock(), random.Random(rate)
+    for number in range(round(600 * rate)):
+        stamp_ns = NOW_NS + round(number / rate * NS_PER_S)
+        late_s = chance.expovariate(20) if chance.random() < 0.1 else 0.001
+        clock.observe(stamp_ns, stamp_ns + round(late_s * NS_PER_S))
+    assert clock.state is ClockState.SYNCHRONISED
+
+
 MEASURED = [
     (Offset(-0.501, -0.499), ClockState.WRONG),
     (Offset(-0.001, 0.0005), ClockState.SYNCHRONISED),

@@ -27,6 +27,9 @@ MOMENT_S, LONGEST_S, MOMENTS_S, LEAST_MOMENTS = 0.1, 2.0, 10.0, 10
 """Messages of one moment may have waited together; it lasts until the next one, at most 2 s. If
 in most of the newest moments, at least so many, none came in time, the clock is behind, as one that
 runs slow and is set again and again."""
+EVEN_S, EVEN_MOMENTS, EVEN_FOR_S, APART_S = 0.005, 3, 2.0, 0.15
+"""If messages that come apart, of so many moments in a row and over so long, are late by the same
+to within 5 ms, the clock was set: of a topic of up to 5 Hz, stamps need not step back then."""
 MOST_FALLS = 2
 """A clock that was right and fell behind so often is set again and again: it stays untrusted."""
 _PERIOD_S = 1.0
@@ -145,8 +148,27 @@ class PublisherClock:
             self.offset = None
             self._forget_delays(delay_s)
             self._fall(stamp_ns, arrival_ns)
+        elif is_right and self._is_evenly_late:
+            self._forget_delays(delay_s)
+            self._fall(stamp_ns, arrival_ns)
         elif self.state is not ClockState.WRONG and self._usual_s > limit_s:
             self._fall(stamp_ns, arrival_ns)
+
+    @property
+    def _is_evenly_late(self) -> bool:
+        """Whether the newest moments were late by the same."""
+        for_s, low_s, high_s = 0.0, math.inf, -math.inf
+        for moments, (lasts_s, delay_s) in enumerate(
+            zip(reversed(self._lasts_s), reversed(self._delays), strict=True), 1
+        ):
+            low_s, high_s = min(low_s, delay_s), max(high_s, delay_s)
+            is_apart = moments == 1 or lasts_s > APART_S
+            if low_s <= WAY_S or high_s - low_s > EVEN_S or not is_apart:
+                return False
+            if moments >= EVEN_MOMENTS and for_s >= EVEN_FOR_S:
+                return True
+            for_s += lasts_s
+        return False
 
     def _fall(self, stamp_ns: int, arrival_ns: int) -> None:
         self._falls += self.state is not ClockState.BEHIND
