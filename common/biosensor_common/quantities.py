@@ -177,6 +177,14 @@ A body changes such a signal, and noise its last digit: one that stands still fo
 a dead electrode, a cable or a converter. Of other types a value may be right for as long as it
 likes: a charge, a count, the acceleration of a sensor with few digits that lies still.
 """
+_NAMES_OF_OTHERS = {"EDA": ContentType.GSR, "RESP": ContentType.RESPIRATION, "BVP": ContentType.PPG}
+
+
+def constant_s(content_type: str) -> float | None:
+    """Return the limit of `CONSTANT_S` for a content type of any program; None without one."""
+    known = {each.value.upper(): each for each in CONSTANT_S} | _NAMES_OF_OTHERS
+    found = known.get(content_type.upper())
+    return None if found is None else CONSTANT_S[found]
 
 
 def waits_for_receivers(content_type: str, *, is_regular: bool, is_state: bool) -> bool:

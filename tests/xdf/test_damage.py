@@ -234,7 +234,7 @@ def test_any_chunk_content_never_ends_in_a_traceback(
 # What other programs write, and crashes leave, that costs nothing, or is said as what it is.
 STAMPS = [1000.0 + k / 100 for k in range(2000)]
 CHUNKS = [
-    x.samples(1, "float32", [[0.5]] * 100, STAMPS[at : at + 100])
+    x.samples(1, "float32", [[0.5], [1.5]] * 50, STAMPS[at : at + 100])
     for at in range(0, len(STAMPS), 100)
 ]
 HEADER = x.stream_header(1, "ecg", kind="ECG", rate=100.0)
@@ -318,9 +318,9 @@ def test_the_times_of_a_clock_that_began_again_are_the_recorders() -> None:
         x.xdf(
             HEADER,
             x.offsets(1, (1000.0, 1005.0), 50.0),
-            x.samples(1, "float32", [[0.5]] * 1000, before.tolist()),
+            x.samples(1, "float32", [[0.5], [1.5]] * 500, before.tolist()),
             x.offsets(1, (5.0, 10.0), 1055.0),
-            x.samples(1, "float32", [[0.5]] * 1000, begun_again.tolist()),
+            x.samples(1, "float32", [[0.5], [1.5]] * 500, begun_again.tolist()),
             x.footer(1, len(STAMPS)),
         )
     )

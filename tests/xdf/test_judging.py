@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -875,3 +877,46 @@ def test_what_is_found_later_stands_in_the_nodes_events() -> None:
     assert "up to 0.250 s" in text_of(report, "robot-clock", "pose")
     right = {"header": {"state": "synchronised", "edge_s": 0.001}}
     assert not check(x.xdf(*robot("synchronised", 0.001), *events(**right))).findings
+
+
+# A dead electrode of another program's amplifier is no signal.
+
+
+def _eeg(values: list[list[float]], kind: str = "EEG", rate: float = RATE) -> bytes:
+    stamps = _times(len(values), rate=rate)
+    return x.xdf(
+        x.stream_header(1, "amp", kind=kind, channels=len(values[0]), rate=rate),
+        x.samples(1, "float32", values, stamps),
+        x.offsets(1, (1005, 1010, 1015)),
+        x.footer(1, len(values)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "is_told"),
+    [
+        ("EEG", 15, True),
+        ("EEG", 8, False),
+        ("eda", 15, False),
+        ("eda", 70, True),
+        ("Gaze", 90, False),
+    ],
+)
+def test_a_channel_of_another_program_that_does_not_change(
+    kind: str, seconds: int, is_told: bool
+) -> None:
+    count = round(RATE) * (seconds + 10)
+    values = [[float(k % 13), 5.0 if k >= 500 and k < 500 + seconds * RATE else float(k % 7)]
+              for k in range(count)]  # fmt: skip
+    report = check(_eeg(values, kind))
+    told = [each for each in report.findings if each.code == "flat"]
+    assert [each.level for each in told] == [Level.WARNING] * is_told
+    if is_told:
+        assert re.match(
+            rf"\S+ \(5\) has not changed for {seconds}|{seconds - 1}|{seconds + 1} s", told[0].text
+        )
+
+
+def test_a_channel_that_is_never_there_is_no_flat_one() -> None:
+    values = [[math.nan, float(k % 13)] for k in range(3000)]
+    assert "flat" not in {each.code for each in check(_eeg(values)).findings}

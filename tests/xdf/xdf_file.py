@@ -99,7 +99,7 @@ def regular(
     stream_id: int, name: str, stamps: Sequence[float], rate: float, **header: Any
 ) -> tuple[bytes, bytes, bytes]:
     """Header, samples and end of a float stream of one channel that is all right."""
-    values = [[0.5]] * len(stamps)
+    values = [[0.5 + k % 2] for k in range(len(stamps))]
     return (
         stream_header(stream_id, name, rate=rate, **header),
         samples(stream_id, "float32", values, stamps),

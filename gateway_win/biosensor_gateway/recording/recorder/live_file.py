@@ -47,7 +47,12 @@ from biosensor_gateway.recording.xdf.measuring import (
     joined,
 )
 from biosensor_gateway.recording.xdf.pace import Cuts
-from biosensor_gateway.recording.xdf.samples import decode, decode_clock_offset
+from biosensor_gateway.recording.xdf.samples import (
+    Constants,
+    decode,
+    decode_clock_offset,
+    flat_text,
+)
 
 STOPPED_S = 5.0
 STOPPED_PERIODS = 3
@@ -299,6 +304,7 @@ class _StreamReader:
         self.log = EventLog() if header.is_events else None
         self.counted = Counted()
         self.losses = _Losses()
+        self.constants = Constants(header)
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
@@ -328,6 +334,7 @@ class _StreamReader:
             self._find_gaps(stamps)
             self._last_stamp = float(stamps[-1])
             self.counted.came(stamps)
+            self.constants.add(block)
             if self._is_on_the_lsl_clock():
                 self.reached = max(self.reached, self._last_stamp + self._offset)
         return block.texts
@@ -485,6 +492,8 @@ class Growth:
         for stream in self._streams.values():
             for each in stream.losses.refused:
                 yield Finding(Level.WARNING, "refused", stream.header.title, each)
+            if flat := stream.constants.found:
+                yield Finding(Level.WARNING, "flat", stream.header.title, flat_text(flat))
 
     def gone(self) -> Iterator[Finding]:
         """Yield devices that their agent no longer has, as after a restart with other settings."""

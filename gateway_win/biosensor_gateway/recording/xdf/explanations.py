@@ -334,6 +334,14 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "Two agents were running, or samples are duplicated.",
         "Look for equal timestamps; run only one agent for each sensor.",
     ),
+    "flat": Explanation(
+        "A channel that does not change",
+        "For longer than a body's signal can rest, the channel had one value: a dead electrode, a "
+        "cable, a converter at its limit, or an input that is not used.",
+        "Leave the channel out of the analysis; if its input is not used, nothing else is wrong. "
+        "Otherwise check the electrode before the next session. A channel that holds only noise "
+        "of its converter changes, so it is not found: look at the traces.",
+    ),
     "lost": Explanation(
         "Lost between device and agent",
         "According to the device's sample numbers, samples were lost, usually on the radio.",

@@ -41,7 +41,7 @@ from biosensor_gateway.recording.xdf.header import (
     parse_stream_header,
 )
 from biosensor_gateway.recording.xdf.rate_changes import Curve, RateChange
-from biosensor_gateway.recording.xdf.samples import decode, decode_clock_offset
+from biosensor_gateway.recording.xdf.samples import Constants, decode, decode_clock_offset
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 
 # Numbers of timestamps of one stream.
@@ -265,6 +265,8 @@ class RecordedStream:
         streams.
     guessed_texts
         Number of texts that are not UTF-8, so their encoding was guessed.
+    constants
+        Channels that had one value for too long.
     """
 
     header: RecordedHeader
@@ -274,8 +276,12 @@ class RecordedStream:
     texts: list[str] = field(default_factory=list[str])
     guessed_texts: int = 0
     _stamps: _Stamps = field(default_factory=_Stamps)
+    constants: Constants = field(init=False)
     # Number of samples before each clock offset, which assigns samples to clock runs.
     _before_offsets: array[int] = field(default_factory=lambda: array("q"))
+
+    def __post_init__(self) -> None:
+        self.constants = Constants(self.header)
 
     @property
     def stamps(self) -> NDArray[np.float64]:
@@ -325,6 +331,7 @@ class RecordedStream:
         block = decode(chunk.body, self.header, self._stamps.last)
         self._stamps.add(block.stamps)
         self.nan_counts += block.nan_counts
+        self.constants.add(block)
         self.guessed_texts += block.guessed
         header = self.header
         if header.is_counters or header.is_events or header.is_events_of_node:

@@ -6,15 +6,17 @@ A samples chunk has for each sample an optional timestamp and one value per chan
 from __future__ import annotations
 
 import math
+import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.quantities import ChannelFormat
+from biosensor_common.quantities import ChannelFormat, constant_s
 from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.header import RecordedHeader, decoded
 
@@ -30,6 +32,10 @@ _STAMP_BYTES = 8
 _CLOCK_OFFSET = struct.Struct("<dd")
 _LENGTH_SIZES = frozenset({1, 4, 8})
 
+
+_FEWEST, _MOST = 64, 10_000
+# Channels that other programs have among their signals, and that may rest.
+_RESTS = re.compile(r"(?i)tri?g|stim|status|marker|event|count|batt|digital|button|time")
 
 Texts = list[tuple[str, ...]]
 """One tuple per sample, with one text per channel."""
@@ -68,6 +74,76 @@ class Block:
     def texts(self) -> tuple[str, ...]:
         """The first channel of a text stream; empty for other streams."""
         return tuple(each[0] for each in self.values) if isinstance(self.values, list) else ()
+
+
+class Flat(NamedTuple):
+    """For how long a channel had one value, at the longest."""
+
+    label: str
+    value: float
+    seconds: float
+
+
+class Constants:
+    """Finds channels of another program's stream that have one value for longer than a body's can.
+
+    Of our own streams, the agent tells that itself.
+    """
+
+    def __init__(self, header: RecordedHeader) -> None:
+        is_judged = header.is_regular and not header.is_ours
+        self._limit_s = constant_s(header.content_type) if is_judged else None
+        self._labels = header.labels
+        self._piece = min(max(_FEWEST, round(header.rate)), _MOST)
+        self._values = np.full(header.channel_count, np.nan)
+        self._since = np.full(header.channel_count, np.nan)
+        self._newest = math.nan
+        self._longest = [Flat(each, math.nan, 0.0) for each in self._labels]
+
+    def add(self, block: Block) -> None:
+        """Take the next samples; about a second of them is compared at once."""
+        if self._limit_s is None or isinstance(block.values, list):
+            return
+        for begin in range(0, len(block.stamps), self._piece):
+            end = begin + self._piece
+            self._add(block.stamps[begin:end], block.values[begin:end], self._limit_s)
+
+    def _add(self, stamps: NDArray[np.float64], values: NDArray[Any], limit_s: float) -> None:
+        # NaN, which is no value, is passed over.
+        low, high = np.fmin.reduce(values), np.fmax.reduce(values)
+        is_one = low == high
+        # Of what was sent in a gap nothing is known.
+        goes_on = 0.0 <= stamps[0] - self._newest < limit_s / 2
+        is_same = goes_on & (np.isnan(low) | (is_one & (low == self._values)))
+        self._since = np.where(is_same, self._since, np.where(is_one, stamps[0], np.nan))
+        self._values = np.where(is_same, self._values, np.where(is_one, low, np.nan))
+        self._newest = float(stamps[-1])
+        seconds = self._newest - self._since
+        for column in np.flatnonzero(seconds >= limit_s).tolist():
+            if seconds[column] > self._longest[column].seconds:
+                self._longest[column] = Flat(
+                    self._labels[column], float(self._values[column]), float(seconds[column])
+                )
+
+    @property
+    def found(self) -> tuple[Flat, ...]:
+        """The channels that had one value for too long, but those of triggers."""
+        return tuple(
+            each
+            for each in self._longest
+            if not math.isnan(each.value) and not _RESTS.search(each.label)
+        )
+
+
+def flat_text(flat: Sequence[Flat]) -> str:
+    """Return the sentence about channels that did not change."""
+    named = ", ".join(f"{each.label} ({each.value:g})" for each in flat)
+    have = "has" if len(flat) == 1 else "have"
+    longest_s = max(each.seconds for each in flat)
+    return (
+        f"{named} {have} not changed for {longest_s:.0f} s, so this is not a body signal: check "
+        "electrode, contact with the skin, cable, and the settings of the device"
+    )
 
 
 def decode(content: memoryview, header: RecordedHeader, last_stamp: float) -> Block:

@@ -13,6 +13,7 @@ from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.pace import Pace
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES
 from biosensor_gateway.recording.xdf.report import Extent, Measured
+from biosensor_gateway.recording.xdf.samples import flat_text
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock, is_plausible
 
 Verdict = tuple[Level, str, str]
@@ -371,6 +372,11 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield Level.NOTE, "nan", f"share without a value: {', '.join(gappy)}"
 
 
+def _flat(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    if flat := measured.stream.constants.found:
+        yield Level.WARNING, "flat", flat_text(flat)
+
+
 def _counted(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     counters = measured.counters
     if counters is None:
@@ -408,4 +414,5 @@ _RULES: tuple[Callable[[Measured, Extent], Iterator[Verdict]], ...] = (
     _extent,
     _offsets,
     _values,
+    _flat,
 )
