@@ -178,7 +178,7 @@ class Ros:
         stamp = report.header.stamp
         self._reported_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         self._status = {
-            status.name.removeprefix("lsl_to_ros: ").removeprefix("ros_to_lsl: "): Status(
+            status.name.partition(": ")[2]: Status(
                 status.level,
                 status.message,
                 status.hardware_id,

@@ -651,3 +651,14 @@ def test_text_is_no_state(lab: Lab) -> None:
     )
     status = lab.tell("zephyr", text).status()
     assert (status.level, values(status)) == (DiagnosticStatus.OK, {})
+
+
+def test_entries_have_the_name_of_their_node(ros: Ros) -> None:
+    entries = [
+        DiagnosticStatus(name="lsl_to_ros: node"),
+        DiagnosticStatus(name="lsl_to_ros: /a: b"),
+    ]
+    diagnostics.named_by(ros.node, entries)
+    own = ros.node.get_fully_qualified_name().lstrip("/")
+    assert own != "lsl_to_ros"
+    assert [each.name for each in entries] == [f"{own}: node", f"{own}: /a: b"]

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
 
 from biosensor_common import process_limits
 from biosensor_common.naming import AGENT, TopicName
@@ -232,6 +233,13 @@ def status(
         hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
+
+
+def named_by(node: Node, statuses: Sequence[DiagnosticStatus]) -> None:
+    """Give entries the name of their node, so that two nodes never replace each other's."""
+    program = node.get_fully_qualified_name().lstrip("/")
+    for each in statuses:
+        each.name = f"{program}: {each.name.partition(': ')[2]}"
 
 
 def words_of(refusals: Refusals) -> str:

@@ -24,6 +24,7 @@ from lsl_to_ros.reports.diagnostics import (
     LEASE_S,
     away_sentence,
     crowded_out,
+    named_by,
     overload,
     status,
     stream_facts,
@@ -383,6 +384,7 @@ class Reporting:
             COMPAT: self._node.get_parameter(COMPAT).value,
         }
         statuses = [node_status(part, values, self._concerns()), *part.statuses, *part.devices]
+        named_by(self._node, statuses)
         if self._rhythm.is_due(statuses):
             self._diagnostics.publish(DiagnosticArray(header=self._header(), status=statuses))
 

@@ -31,6 +31,7 @@ from lsl_to_ros import program
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_ID, peers_of
 from lsl_to_ros.reports.clock_pairs import events_outlet
+from lsl_to_ros.reports.diagnostics import named_by
 from lsl_to_ros.reports.reporter import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, Topic, are_named
@@ -235,6 +236,7 @@ class RosToLsl(Node):
             )
         ]
         statuses += [topic_status(each) for each in self._topics.values()]
+        named_by(self, statuses)
         if not self._rhythm.is_due(statuses):
             # nothing is dropped: they are as they were
             return
