@@ -167,6 +167,13 @@ def test_every_relative_link_resolves(document: Path) -> None:
 
 
 @each_document
+def test_every_step_of_a_list_begins_a_line(document: Path) -> None:
+    text = _prose(document.read_text(encoding="utf-8"))
+    steps = re.findall(r"^ *(\d+)\. (.+(?:\n *[^\s\d#|-].*)*)", text, re.MULTILINE)
+    assert [n for n, step in steps if re.search(rf"\s{int(n) + 1}\. [A-Z*`\[]", step)] == []
+
+
+@each_document
 def test_no_line_names_a_path_of_one_machine(document: Path) -> None:
     lines = document.read_text(encoding="utf-8").splitlines()
     assert not [line for line in lines if _MACHINE_PATH.search(line)]
