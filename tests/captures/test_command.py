@@ -158,6 +158,38 @@ def test_a_replay_reports_each_stream(
     assert ecg["least_s"] <= ecg["median_s"] <= ecg["most_s"]
 
 
+@pytest.mark.parametrize(
+    ("header", "events", "why"),
+    [
+        ({"sensor": "nosuch"}, 9, "There is no sensor 'nosuch'"),
+        ({"settings": {"x": "y"}}, 9, "the settings of the capture are not valid"),
+        ({}, 0, "the capture has a connection without a start"),
+    ],
+)
+def test_of_several_captures_the_one_that_is_refused_is_named(
+    header: dict[str, object],
+    events: int,
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = recorded_capture.capture()
+    update = {"header": whole.header.model_copy(update=header), "events": whole.events[:events]}
+    file = tmp_path / f"bad{ENDING}"
+    file.write_bytes(packed(whole.model_copy(update=update)))
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", "capture", "replay", str(tmp_path)])
+    with pytest.raises(ConfigError, match=f"^{file}: {why}"):
+        app()(standalone_mode=False)
+
+
+def test_a_folder_without_a_capture_is_not_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", "capture", "replay", str(tmp_path)])
+    with pytest.raises(ConfigError, match="there is no capture, no file"):
+        app()(standalone_mode=False)
+
+
 # Run after the command in its process: what a stream of it has.
 SESSION = """
 import sys

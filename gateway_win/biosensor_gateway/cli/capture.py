@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, SpecError
 from biosensor_gateway.cli.app import QuickGroup
 from biosensor_gateway.cli.options import (
     JsonOption,
@@ -123,7 +123,10 @@ def replay(
     reports: dict[str, Report] = {}
     for path in _each(files):
         capture = read(path)
-        report = reports[str(path)] = replayed(capture, live=live)
+        try:
+            report = reports[str(path)] = replayed(capture, live=live)
+        except (ConfigError, SpecError) as error:
+            raise ConfigError(ConfigReason.MALFORMED, f"{path}: {error}") from error
         if not as_json:
             _print(path, capture, report)
     if as_json:
@@ -152,7 +155,11 @@ def _each(files: Sequence[Path]) -> Iterator[Path]:
 
     for path in files:
         if path.is_dir():
-            yield from sorted(path.rglob(f"*{ENDING}"))
+            found = sorted(path.rglob(f"*{ENDING}"))
+            if not found:
+                message = f"there is no capture, no file *{ENDING}, in {path}; name another folder"
+                raise ConfigError(ConfigReason.NOT_FOUND, message)
+            yield from found
         else:
             yield path
 
