@@ -206,16 +206,17 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "late-first": Explanation(
         "The first samples came late",
-        "What a sensor had measured before the connection was ready came together, and was stamped "
-        "when it came; so the next stamps step back. Nothing is lost by that.",
-        "In EDF, Kubios, BIDS and features they have the times of a line through all stamps; in "
-        "CSV, leave the first seconds out.",
+        "Samples that a sensor measured before the connection was ready arrived together and were "
+        "stamped at arrival, so the following timestamps step back. Nothing is lost.",
+        "Nothing for EDF, Kubios, BIDS and features, which use the times of a line through all "
+        "timestamps. In CSV, leave the first seconds out.",
     ),
     "standstill": Explanation(
         "Timestamps stand still",
-        "The sender's clock stopped while it went on sending, so it is only known that these "
-        "samples followed one another.",
-        "EDF, Kubios and BIDS take them as even; do not compare these seconds with other streams.",
+        "The sender's clock stopped while it continued to send, so only the order of these "
+        "samples is known.",
+        "Do not compare these seconds with other streams. EDF, Kubios and BIDS treat the samples "
+        "as evenly spaced.",
     ),
     "backwards": Explanation(
         "Time runs backwards",
@@ -266,7 +267,7 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "rate-change": Explanation(
         "The rate changes during the recording",
-        "Samples come at another rate from that time on. Loaders that use one rate for the whole "
+        "From that time on, the sampling rate is different. Loaders that use one rate for the whole "
         "stream give wrong times.",
         "EDF, Kubios, BIDS and features have a file or part for each rate; otherwise analyse the "
         "time before and after separately.",
@@ -336,11 +337,11 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "flat": Explanation(
         "A channel that does not change",
-        "For longer than a body's signal can rest, the channel had one value: a dead electrode, a "
+        "The channel had one value for longer than a signal of the body can: a dead electrode, a "
         "cable, a converter at its limit, or an input that is not used.",
         "Leave the channel out of the analysis; if its input is not used, nothing else is wrong. "
-        "Otherwise check the electrode before the next session. A channel that holds only noise "
-        "of its converter changes, so it is not found: look at the traces.",
+        "Otherwise check the electrode before the next session. A channel with only its "
+        "converter's noise is not detected, because its values change: look at the traces.",
     ),
     "lost": Explanation(
         "Lost between device and agent",
