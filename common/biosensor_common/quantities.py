@@ -157,6 +157,25 @@ class ContentType(StrEnum):
     TEMPERATURE = "Temperature"
 
 
+_SPELT = {
+    **{each.value.casefold(): each for each in ContentType},
+    "acc": ContentType.ACCELEROMETER,
+    "eda": ContentType.GSR,
+    "resp": ContentType.RESPIRATION,
+}
+
+
+def spellings(content_type: ContentType) -> set[str]:
+    """Return usual spellings of a type, for a search that compares exactly."""
+    names = [each for each, known in _SPELT.items() if known is content_type]
+    return {content_type.value, *names, *(each.upper() for each in names)}
+
+
+def signal_type(content_type: str) -> str:
+    """Return the type of a signal as it is called here, however another program spells it."""
+    return _SPELT.get(content_type.strip().casefold(), content_type)
+
+
 TYPES_OF_DEVICE = frozenset(
     {ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS}
 )

@@ -23,8 +23,11 @@ from biosensor_common.table import channels, raw
 from biosensor_gateway.cli.features import compute_recording, features
 from biosensor_gateway.devices.emotibit import SPEC as EMOTIBIT
 from biosensor_gateway.devices.empatica_e4 import SPEC as EMPATICA_E4
+from biosensor_gateway.features.offline import compute
 from biosensor_gateway.features.outputs import features_of
+from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.export.exporting import Task, export
 from tests.features import signals
 from tests.recording_export.study import ecg_values, ours
 from tests.xdf import xdf_file as made
@@ -296,6 +299,26 @@ def test_the_begin_of_a_recording_with_overlaps_costs_no_sample(
     (count,) = [count for name, count in told["streams"].items() if name.endswith("-beats")]
     assert count == pytest.approx(len(beats), abs=2)
     assert not any("left out" in each for each in told["remarks"])
+
+
+def test_types_are_found_however_they_are_spelt(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    spelt = [
+        ("ecg", signals.ecg(130, 40)[0], 130, "mV"),
+        ("Eda", signals.skin(8, 40)[0], 8, "uS"),
+        ("RESP", signals.breath(20, 60), 20, "N"),
+    ]
+    streams = (_stream(at, *each) for at, each in enumerate(spelt, 1))
+    path.write_bytes(made.xdf(*streams))
+    computed = compute(path, tmp_path / "features.csv")
+    counts = {name: count for name, count in computed.counts.items() if count}
+    for name in ("-beats", "-scr", "-br_live"):
+        assert any(each.endswith(name) for each in counts), (name, counts)
+    task = Task(["kubios", "ledalab"], Selection(), output=tmp_path)
+    outcome = export(path, task, lambda _name, _s: lambda _done: None)
+    assert [each.format for each in outcome.written] == ["kubios", "ledalab"]
+    texts = [each.name for each in tmp_path.rglob("amp_*.txt")]
+    assert sorted(texts) == ["amp_Eda.txt", "amp_ecg.txt"]
 
 
 @pytest.mark.parametrize("what", ["late first packets", "a clock that stands still", "to the end"])

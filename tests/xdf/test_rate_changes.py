@@ -67,6 +67,14 @@ CASES = {
     "doubled, in bursts": (_in_bursts(_at_rates(*DOUBLED)), DOUBLED),
     "halved, delayed": (_delayed(_at_rates(*HALVED)), HALVED),
     "halved, with gaps": (_with_holes(_at_rates(*HALVED)), HALVED),
+    "halved behind a gap": (
+        np.concatenate([_at_rates(*HALVED)[:5200], _at_rates(*HALVED)[5200:] + 7.0]),
+        HALVED,
+    ),
+    "halved, a short one in bursts": (
+        _in_bursts(_at_rates((RATE, 10.0), (RATE / 2, 10.0))),
+        [(RATE, 10.0), (RATE / 2, 10.0)],
+    ),
     "another at first": (_at_rates((RATE / 2, 20.0), (RATE, 60.0)), [(65.0, 20.0), (RATE, 60.0)]),
 }
 
@@ -80,11 +88,16 @@ def test_check_tells_each_change_once(case: str) -> None:
     (stream,) = report.streams
     changes = stream.figures.rate_changes
     rates = [changes[0].before_hz, *(each.after_hz for each in changes)]
-    assert rates == pytest.approx([rate for rate, _ in parts], rel=0.01)
+    exact = 0.03 if case == "halved, a short one in bursts" else 0.01
+    assert rates == pytest.approx([rate for rate, _ in parts], rel=exact)
     # As exactly as bursts and delays allow.
     ends = 1000.0 + np.cumsum([length for _, length in parts])[:-1]
-    assert [each.stamp_s for each in changes] == pytest.approx(ends.tolist(), abs=0.25)
-    assert stream.figures.gaps.count == (2 if case == "halved, with gaps" else 0)
+    is_behind_gap = case == "halved behind a gap"
+    expected = (ends + 7.0 * is_behind_gap).tolist()
+    assert [each.stamp_s for each in changes] == pytest.approx(expected, abs=0.25)
+    assert stream.figures.gaps.count == (2 if case == "halved, with gaps" else is_behind_gap)
+    if is_behind_gap:
+        assert stream.figures.gaps.lost == pytest.approx(7 * RATE / 2, abs=2)
     assert "rate" not in {each.code for each in report.findings}
 
 

@@ -23,7 +23,7 @@ from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.features.outputs import READ_TYPES
+from biosensor_gateway.features.outputs import READ_SPELLINGS
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import (
     FeatureError,
@@ -289,7 +289,7 @@ class Live:
 
     def run(self, stopping: threading.Event) -> None:
         """Receive and send until *stopping* is set."""
-        raw_streams = any_of(*(equals("type", each.value) for each in READ_TYPES))
+        raw_streams = any_of(*(equals("type", each) for each in READ_SPELLINGS))
         network = Network(raw_streams)
         clocks = SenderClocks(lambda: self._measured)
         count = 0

@@ -160,8 +160,8 @@ def _sources(streams: Sequence[_Parts]) -> tuple[_Pairs, list[str], list[str]]:
     refused: list[str] = []
     doubled: list[str] = []
     fullest = [max(parts, key=lambda each: each.sample_count) for parts in streams]
-    by_header = {id(each.meaning): parts for each, parts in zip(fullest, streams, strict=True)}
-    for stream in fullest:
+    by_header: dict[int, _Parts] = {}
+    for stream, parts in zip(fullest, streams, strict=True):
         if is_feature(stream.header.xml):
             continue  # nothing is dropped: features of features are not asked for
         try:
@@ -171,6 +171,7 @@ def _sources(streams: Sequence[_Parts]) -> tuple[_Pairs, list[str], list[str]]:
             refused.append(str(error))
             continue  # nothing is dropped: as above
         if source is not None:
+            by_header[id(source.header)] = parts
             found.append(source)
     # A stream without samples gets what is left: which of two has any may depend on the model.
     full = [each for each in found if _has_samples(by_header[id(each.header)])]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from biosensor_common.lsl.predicates import Predicate, any_of, ends_with
-from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.quantities import ContentType, Unit, spellings
 from biosensor_common.spec import ChannelSpec, StreamSpec
 from biosensor_common.table import channels, hardware, raw
 from biosensor_gateway.features import parameters as at
@@ -226,6 +226,8 @@ TYPES = (
 """Types of streams with features, the best source of beats first."""
 READ_TYPES = (*TYPES, ContentType.TEMPERATURE)
 """Types of streams that are received: temperature has no feature, but shows whether one is worn."""
+READ_SPELLINGS = tuple(sorted(each for kind in READ_TYPES for each in spellings(kind)))
+"""How programs spell these types."""
 
 
 def feature_streams() -> Predicate:

@@ -15,7 +15,7 @@ import pylsl
 from biosensor_common import naming
 from biosensor_common.errors import GatewayError, SpecError
 from biosensor_common.lsl_header import append_children, describe
-from biosensor_common.quantities import ChannelFormat, ContentType, Unit
+from biosensor_common.quantities import ChannelFormat, ContentType, Unit, signal_type
 from biosensor_common.spec import IRREGULAR, ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import BLOCK, PREFIX, Replay, StreamHeader, mark_as_replay
 from biosensor_gateway.features import parameters as at
@@ -243,7 +243,9 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     FeatureError
         ``UNIT``, ``RATE`` or ``FORMAT`` if a stream of a suitable type cannot be used.
     """
-    kind = header.content_type
+    kind = signal_type(header.content_type)
+    if kind != header.content_type:
+        header = replace(header, content_type=kind)
     if kind not in READ_TYPES or (kind == ContentType.TEMPERATURE and not _is_of_skin(header)):
         return None  # nothing is dropped: no feature is of its type
     columns = _columns(header)

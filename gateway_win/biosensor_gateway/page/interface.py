@@ -14,7 +14,7 @@ from biosensor_common.lsl.network import FORGET_AFTER_S, Network, configure_lsl
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.status import RefusedStatus
-from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
+from biosensor_gateway.features.outputs import READ_SPELLINGS, feature_streams
 from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.models import Problem, SeenStreamView
 from biosensor_gateway.page.network.source import Reader, into
@@ -113,7 +113,7 @@ class Features:
             self._tell({_OF_ALL: f"they are not shown: {error}"})
             return
         reader = await asyncio.to_thread(Reader, into(self._session.traces), feature_streams())
-        raw = await asyncio.to_thread(Network, any_of(*(equals("type", e) for e in READ_TYPES)))
+        raw = await asyncio.to_thread(Network, any_of(*(equals("type", e) for e in READ_SPELLINGS)))
         try:
             while True:
                 self._look(reader, raw)

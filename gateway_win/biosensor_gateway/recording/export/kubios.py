@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from biosensor_common.quantities import ChannelFormat, ContentType, Unit
+from biosensor_common.quantities import ChannelFormat, ContentType, Unit, signal_type
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.exporter import (
@@ -94,7 +94,7 @@ class Kubios:
 
 def _is_of(stream: Stream, kind: ContentType) -> bool:
     header = stream.header
-    return header.content_type == kind and header.format is not ChannelFormat.STRING
+    return signal_type(header.content_type) == kind and header.format is not ChannelFormat.STRING
 
 
 def _begins(chosen: Chosen, options: ExportOptions, path: Path, time_s: float) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.quantities import ChannelFormat, ContentType, Unit
+from biosensor_common.quantities import ChannelFormat, ContentType, Unit, signal_type
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporter import (
@@ -99,7 +99,8 @@ class Ledalab:
 
 def _is_conductance(stream: Stream) -> bool:
     header = stream.header
-    return header.content_type == ContentType.GSR and header.format is not ChannelFormat.STRING
+    is_gsr = signal_type(header.content_type) == ContentType.GSR
+    return is_gsr and header.format is not ChannelFormat.STRING
 
 
 def _numbered(chosen: Chosen) -> tuple[NDArray[np.float64], dict[str, int]]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.device_clock import READING_LIMIT_S
-from biosensor_common.quantities import ContentType
+from biosensor_common.quantities import ContentType, signal_type
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.pace import (
     FEW_ASTRAY,
@@ -156,6 +156,13 @@ def _measure(stream: RecordedStream) -> Figures:
             gaps = joined(gaps, find_gaps(some, part))
         rate_between_gaps_hz = _rate_between_gaps(course, gaps, header)
         backward_steps, furthest_back_s = course.back, course.furthest_back_s
+    between = [
+        Gap(each.stamp_s - each.step_s, each.step_s, round(each.step_s * each.after_hz) - 1)
+        for each in changes
+        if each.step_s > _longest_at(each, header, pace)
+    ]
+    if between:
+        gaps = _listed(gaps, np.array([each.length_s for each in between]), between)
     held = stream.sample_count
     return Figures(
         first=course.first if course.count else None,
@@ -188,6 +195,13 @@ def _parts(
         (begin, replace(header, rate=rate_hz))
         for begin, rate_hz in zip(begins, rates_hz, strict=True)
     ]
+
+
+def _longest_at(change: RateChange, header: RecordedHeader, pace: Pace | None) -> float:
+    """Return the largest step at a change of the rate without a gap."""
+    slow = replace(header, rate=min(change.before_hz, change.after_hz))
+    late_s = 0.0 if pace is None else pace.burst / slow.rate + 3 * pace.spread_s
+    return longest_step_s(slow) + late_s
 
 
 def _cut(
@@ -315,7 +329,7 @@ def may_have_rate(header: RecordedHeader) -> bool:
 
     Our own headers are right, and intervals between beats look like a signal because they are even.
     """
-    is_signal = not header.is_markers and header.content_type != ContentType.RR
+    is_signal = not header.is_markers and signal_type(header.content_type) != ContentType.RR
     return is_signal and not header.is_regular and not header.is_ours
 
 

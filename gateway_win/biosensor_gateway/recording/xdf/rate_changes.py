@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -24,9 +24,9 @@ Read = Callable[[int, int], Array]
 
 # A rate that differs by a smaller fraction is that of a clock, or jitter.
 _LEAST = 0.05
-# Neighbouring spans of a constant rate differ by less than this fraction: so many percent of them,
-# or in a short recording, where longer spans are too few, the second.
-_MOST_PERCENT, _ALIKE = (70, 50), _LEAST / 2
+# Of neighbouring spans of a constant rate, so many percent differ by less than this fraction. Where
+# the longest spans differ by more, only a change of several times as much is one.
+_MOST_PERCENT, _ALIKE, _WORST, _TIMES = 70, _LEAST / 2, 0.15, 3
 # Number of spans that must have the new rate, and before it the old one; one may be odd.
 _SPANS = 4
 _SHORTEST_S = 1.0
@@ -47,12 +47,13 @@ class RateChange:
     ----------
     at
         Index of the first sample with the new rate; those with a NaN timestamp count, too.
-    stamp_s
-        Its timestamp.
+    stamp_s, step_s
+        Its timestamp, and the step to it.
     """
 
     at: int
     stamp_s: float
+    step_s: float
     before_hz: float
     after_hz: float
 
@@ -92,8 +93,8 @@ class Curve:
         if not header.is_regular or header.is_markers or self._count < 2 * _SPANS:
             return ()
         with np.errstate(all="ignore"):
-            length, periods_s = self._spans()
-            found = _without_delays(_cuts(periods_s), periods_s)
+            length, periods_s, least = self._spans()
+            found = _without_delays(_cuts(periods_s, least), periods_s, least)
         changes: list[RateChange] = []
         for at, before_s, after_s in found:
             begin, end = max(0, (at - 2) * length), min(self._count, (at + 2) * length + 1)
@@ -102,12 +103,29 @@ class Curve:
             slow = stamps[place:] if after_s > before_s else stamps[:place]
             is_behind = not changes or changes[-1].at < begin + place
             if is_behind and not _is_loss(slow, min(before_s, after_s)):
-                stamp_s = float(stamps[place])
-                changes.append(RateChange(begin + place, stamp_s, 1 / before_s, 1 / after_s))
-        return tuple(changes)
+                stamp_s, last_s = float(stamps[place]), float(stamps[place - 1])
+                ends = stamp_s, stamp_s - last_s, 1 / before_s, 1 / after_s
+                changes.append(RateChange(begin + place, *ends))
+        return self._with_rates_of_short(changes, 2 * _SPANS * length, read)
 
-    def _spans(self) -> tuple[int, Array]:
-        """Return the length of spans in samples, and the sample period in each.
+    def _with_rates_of_short(
+        self, changes: Sequence[RateChange], short: int, read: Read
+    ) -> tuple[RateChange, ...]:
+        """Return the changes with the rates from end to end of short parts that have no gaps."""
+        if not changes:
+            return ()
+        bounds = [0, *(each.at for each in changes), self._count]
+        rates_hz = [changes[0].before_hz, *(each.after_hz for each in changes)]
+        for place, (begin, end) in enumerate(pairwise(bounds)):
+            length_s = float(read(end - 1, end)[0] - read(begin, begin + 1)[0])
+            rate_hz = (end - begin - 1) / length_s if length_s > 0 else math.nan
+            if end - begin < short and abs(rate_hz / rates_hz[place] - 1) < _WORST:
+                rates_hz[place] = rate_hz
+        ends = zip(changes, rates_hz[:-1], rates_hz[1:], strict=True)
+        return tuple(replace(e, before_hz=before, after_hz=after) for e, before, after in ends)
+
+    def _spans(self) -> tuple[int, Array, float]:
+        """Return the length of spans in samples, the sample period in each, and the least change.
 
         Spans are so long that most are alike; there is none if they never are.
         """
@@ -117,14 +135,19 @@ class Curve:
         usual_s = float(np.median(points[lag:] - points[:-lag])) / lag
         least = max(1, math.ceil(_SHORTEST_S / usual_s)) if usual_s > 0 else 1
         longest = (len(points) // (2 * _SPANS * least)).bit_length()
-        for percent in _MOST_PERCENT:
-            for count in (least << doubled for doubled in range(longest)):
-                periods_s = np.diff(points[::count]) / (count * self._every)
-                moves = np.abs(np.diff(np.log(periods_s)))
-                # A NaN is of a period that is not positive.
-                if np.percentile(np.where(np.isnan(moves), np.inf, moves), percent) < _ALIKE:
-                    return count * self._every, periods_s
-        return 0, np.empty(0)
+        found, least_move = (0, np.empty(0), _LEAST), _WORST
+        for count in (least << doubled for doubled in range(longest)):
+            periods_s = np.diff(points[::count]) / (count * self._every)
+            moves = np.abs(np.diff(np.log(periods_s)))
+            # A NaN is of a period that is not positive.
+            moves = np.where(np.isnan(moves), np.inf, moves)
+            move = float(np.percentile(moves, _MOST_PERCENT))
+            if move < least_move:
+                least_move = move
+                found = count * self._every, periods_s, max(_LEAST, _TIMES * move)
+            if move < _ALIKE:
+                break
+        return found
 
 
 def _filled(stamps: Array) -> Array:
@@ -136,24 +159,24 @@ def _filled(stamps: Array) -> Array:
     return np.interp(place, place[is_number], stamps[is_number])
 
 
-def _cuts(periods: Array) -> list[_Cut]:
+def _cuts(periods: Array, least: float) -> list[_Cut]:
     """Return where all periods except one are longer, or shorter, than all before except one."""
     if len(periods) < 2 * _SPANS:
         return []
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(periods, _SPANS), axis=1)
     before, after = windows[:-_SPANS], windows[_SPANS:]
-    is_change = (after[:, 1] > (1 + _LEAST) * before[:, -2]) & (before[:, 1] > 0)
-    is_change |= (before[:, 1] > (1 + _LEAST) * after[:, -2]) & (after[:, 1] > 0)
+    is_change = (after[:, 1] > (1 + least) * before[:, -2]) & (before[:, 1] > 0)
+    is_change |= (before[:, 1] > (1 + least) * after[:, -2]) & (after[:, 1] > 0)
     # The place is the one at which the periods on either side differ least from each other.
     uneven = (before[:, -1] - before[:, 0]) / before[:, -1]
     uneven += (after[:, -1] - after[:, 0]) / after[:, -1]
     places = np.flatnonzero(is_change)
     groups = np.split(places, np.flatnonzero(np.diff(places) > _SPANS) + 1) if len(places) else []
     cuts = [int(each[np.argmin(uneven[each])]) + _SPANS for each in groups]
-    return _told(cuts, periods)
+    return _told(cuts, periods, least)
 
 
-def _told(cuts: Sequence[int], periods: Array) -> list[_Cut]:
+def _told(cuts: Sequence[int], periods: Array, least: float) -> list[_Cut]:
     """Return the cuts with the periods on either side, without those that are no change."""
     bounds = [0, *cuts, len(periods)]
     # The spans beside a change have some samples of either rate.
@@ -165,9 +188,9 @@ def _told(cuts: Sequence[int], periods: Array) -> list[_Cut]:
     kept = [
         each.at
         for each in found
-        if min(each.before, each.after) > 0 and abs(math.log(each.after / each.before)) > _LEAST
+        if min(each.before, each.after) > 0 and abs(math.log(each.after / each.before)) > least
     ]
-    return found if len(kept) == len(found) else _told(kept, periods)
+    return found if len(kept) == len(found) else _told(kept, periods, least)
 
 
 def _usual(periods: Array) -> float:
@@ -177,7 +200,7 @@ def _usual(periods: Array) -> float:
     return float(periods[is_usual].mean()) if is_usual.any() else middle
 
 
-def _without_delays(cuts: list[_Cut], periods: Array) -> list[_Cut]:
+def _without_delays(cuts: list[_Cut], periods: Array, least: float) -> list[_Cut]:
     """Return the cuts without those caused by samples that came late and together."""
     bounds = [*(each.at for each in cuts), len(periods)]
     for number, (cut, end) in enumerate(zip(cuts, bounds[1:], strict=True)):
@@ -187,7 +210,7 @@ def _without_delays(cuts: list[_Cut], periods: Array) -> list[_Cut]:
         is_late = cut.after < cut.before and abs(away) < 1
         if is_late or cut.after < cut.before / _MOST_AT_ONCE:
             left = [each.at for at, each in enumerate(cuts) if at not in (number, number + 1)]
-            return _without_delays(_told(left, periods), periods)
+            return _without_delays(_told(left, periods, least), periods, least)
     return cuts
 
 
