@@ -267,8 +267,8 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "rate-change": Explanation(
         "The rate changes during the recording",
-        "From that time on, the sampling rate is different. Loaders that use one rate for the whole "
-        "stream give wrong times.",
+        "From that time on, the sampling rate is different. Loaders that use one rate for the "
+        "whole stream give wrong times.",
         "EDF, Kubios, BIDS and features have a file or part for each rate; otherwise analyse the "
         "time before and after separately.",
     ),
