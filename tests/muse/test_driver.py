@@ -1,3 +1,4 @@
+# pyright: reportPrivateUsage=false
 """The driver streams from virtual headbands, tidy or not, and finds them."""
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ import random
 import struct
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,8 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     Floats,
 )
 from biosensor_gateway.devices.muse.simulator import SimulatedAthena, SimulatedMuse
+from biosensor_gateway.devices.muse.simulator.athena import DATA_UUIDS
+from biosensor_gateway.devices.muse.simulator.classic import EEG_UUIDS
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.system.device_log import DeviceLog
@@ -56,7 +59,7 @@ if TYPE_CHECKING:
 
 # The driver streams from virtual headbands: all of it, once, at the right time.
 
-SECONDS = 24.0
+SECONDS, SETTLED_S = 24.0, 8.0
 PATIENCE_S = 15.0
 CLASSIC = pytest.mark.parametrize("kind", [SimulatedMuse], ids=["classic"])
 ATHENA = pytest.mark.parametrize("kind", [SimulatedAthena], ids=["athena"])
@@ -396,3 +399,88 @@ async def test_frames_of_an_athena_are_as_long_and_as_old_as_recorded_ones(headb
     assert steps.max() <= 130
     # As recorded, where 3 to 15 % of them turn back by up to 60 ms; here none does.
     assert steps.min() >= -60
+
+
+LONGEST_BURST = 7
+
+
+class Losing:
+    """Lets notifications of a headband be lost on the way, several in a row.
+
+    Attributes
+    ----------
+    measured
+        All samples that it measured, with their times, by data name.
+    """
+
+    def __init__(
+        self, device: SimulatedMuse | SimulatedAthena, seed: int, patch: pytest.MonkeyPatch
+    ) -> None:
+        self.measured: dict[str, list[tuple[float, Floats]]] = {}
+        self.is_losing = False
+        self._draw = random.Random(seed)
+        self._left: dict[str, int] = {}
+        notify, note = device._notify, device._note
+        # Of a classic one electrode; an Athena sends all that it measures together.
+        losing = DATA_UUIDS if isinstance(device, SimulatedAthena) else (EEG_UUIDS["TP10"],)
+
+        async def losing_notify(uuid: str, value: bytes) -> bool:
+            if self.is_losing and uuid in losing and self._is_lost(uuid):
+                return False
+            return await notify(uuid, value)
+
+        def noting(name: str, times: Iterable[float], rows: Iterable[Any], *, sent: bool) -> None:
+            stamps, values = list(times), [np.atleast_1d(row) for row in rows]
+            self.measured.setdefault(name, []).extend(zip(stamps, values, strict=True))
+            note(name, stamps, values, sent=sent)
+
+        patch.setattr(device, "_notify", losing_notify)
+        patch.setattr(device, "_note", noting)
+
+    def _is_lost(self, uuid: str) -> bool:
+        left = self._left.get(uuid, 0)
+        if not left and self._draw.random() < 0.04:
+            left = self._draw.randint(1, LONGEST_BURST)
+        self._left[uuid] = max(0, left - 1)
+        return left > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_what_is_lost_several_times_running_moves_nothing_and_is_counted(
+    headband: Make, seed: int, rig: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A busy computer keeps real packets waiting.
+    limit_s = 0.06 if rig == "bumble" else 0.5
+    device = headband(jitter_s=0.02, drift_ppm=80.0)
+    losing = Losing(device, seed, monkeypatch)
+    # With all that it has, and answers that are joined and cut anywhere.
+    device.apply(Fault(Untidiness.GLUED, 1000.0))
+    is_athena = isinstance(device, SimulatedAthena)
+    wanted = {"aux": True, "optics": 16} if is_athena else {}
+    names = ["eeg", "acc", "gyro", *(["aux", "optics"] if is_athena else ["ppg"])]
+    async with streaming(device, **wanted) as run:
+        await until(run.sink.has(100, *names))
+        await asyncio.sleep(SETTLED_S)
+        begin_s, losing.is_losing = run.sink.clock(), True
+        await asyncio.sleep(SECONDS)
+        losing.is_losing = False
+        await asyncio.sleep(2.0)
+        assert run.supervisor.connections == 1
+    lost = 0
+    for name in names:
+        times = np.array([time for time, _ in losing.measured[name]])
+        rows: Floats = np.array([row for _, row in losing.measured[name]])
+        places: list[int] = []
+        for stamp, row in zip(run.sink.times[name], run.sink.array(name), strict=True):
+            begin, end = np.searchsorted(times, [stamp - limit_s, stamp + limit_s]).tolist()
+            near = np.arange(begin, end)
+            came = ~np.isnan(row)
+            same = np.isclose(rows[near][:, came], row[came], rtol=1e-5).all(axis=1)
+            found = near[same & (near > (places[-1] if places else -1))]
+            assert len(found) or stamp < begin_s - SETTLED_S / 2, f"{name}: {row} at {stamp}"
+            if len(found):
+                places.append(int(found[np.argmin(np.abs(times[found] - stamp))]))
+        missing = places[-1] - places[0] + 1 - len(places)
+        assert run.sink.lost_count(name) == missing, name
+        lost += missing
+    assert lost > 0 or not is_athena
