@@ -473,13 +473,13 @@ async def test_what_is_lost_several_times_running_moves_nothing_and_is_counted(
         places: list[int] = []
         for stamp, row in zip(run.sink.times[name], run.sink.array(name), strict=True):
             begin, end = np.searchsorted(times, [stamp - limit_s, stamp + limit_s]).tolist()
-            near = np.arange(begin, end)
             came = ~np.isnan(row)
-            same = np.isclose(rows[near][:, came], row[came], rtol=1e-5).all(axis=1)
-            found = near[same & (near > (places[-1] if places else -1))]
-            assert len(found) or stamp < begin_s - SETTLED_S / 2, f"{name}: {row} at {stamp}"
-            if len(found):
-                places.append(int(found[np.argmin(np.abs(times[found] - stamp))]))
+            same = np.isclose(rows[begin:end, came], row[came], rtol=1e-5).all(axis=1)
+            later = [begin + int(each) for each in np.flatnonzero(same)]
+            found = [each for each in later if not places or each > places[-1]]
+            assert found or stamp < begin_s - SETTLED_S / 2, f"{name}: {row} at {stamp}"
+            if found:
+                places.append(min(found, key=lambda place: abs(times[place] - stamp)))
         missing = places[-1] - places[0] + 1 - len(places)
         assert run.sink.lost_count(name) == missing, name
         lost += missing
