@@ -26,6 +26,7 @@ from biosensor_gateway.devices.polar_h10.driver import control as control_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.products import Firmware, Quirks
+from biosensor_gateway.simulation.central import GattLink
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports import ble
 from biosensor_gateway.transports.ble import BleLink
@@ -405,6 +406,33 @@ async def test_what_was_refused_has_the_rate_that_was_asked_for(sensor: MakeRefu
         h10.clear(FaultKind.REFUSE)
         await until(run.sink.has(50, "acc"))
         assert run.supervisor.connections == 1
+
+
+@ON_BUMBLE
+@pytest.mark.parametrize("times", [1, 1000])
+@pytest.mark.parametrize("answer", [b"", b"\x0f", b"\xf0\x01\x02\x00", bytes(17)])
+async def test_a_sensor_that_does_not_say_what_it_measures_is_asked_again_and_told(
+    sensor: MakeSensor, answer: bytes, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, asked = GattLink.read, list[bytes]()
+
+    async def garbling(self: GattLink, attribute: Any) -> bytes:
+        content = await read(self, attribute)
+        if content[:1] != b"\x0f" or len(asked) == times:
+            return content
+        asked.append(content)
+        return answer
+
+    monkeypatch.setattr(GattLink, "read", garbling)
+    async with streaming(sensor()) as run:
+        if times == 1:
+            await until(run.sink.has(2, "hr", "ecg", "acc"))
+            assert not run.error
+        else:
+            await until(run.sink.has(2, "hr", "ibi"))
+            assert "refuses acc, ecg (it does not say what it can measure" in run.error
+            assert run.supervisor.connections == 1
+    assert asked
 
 
 @ON_BUMBLE

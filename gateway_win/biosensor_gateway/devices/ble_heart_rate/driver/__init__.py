@@ -28,6 +28,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     MANUFACTURER_NAME,
     MODEL_NUMBER,
     SERIAL_NUMBER,
+    parse_battery_level,
     parse_text,
 )
 from biosensor_gateway.devices.ble_session import BleConnection, optional_request
@@ -196,7 +197,12 @@ class Strap:
         """
         if "read" in self._link.properties(BATTERY_LEVEL):
             try:
-                self._level = await self._link.read(BATTERY_LEVEL), self._link.clock()
+                level = await self._link.read(BATTERY_LEVEL)
+                if parse_battery_level(level) is None:
+                    level = await self._link.read(BATTERY_LEVEL)
+                if parse_battery_level(level) is None:
+                    return {"bat": f"its level is no percentage: 0x{level.hex()}"}
+                self._level = level, self._link.clock()
             except AttError as error:
                 return {"bat": f"its level cannot be read: ATT error 0x{error.code:02X}"}
             except TransportError as error:

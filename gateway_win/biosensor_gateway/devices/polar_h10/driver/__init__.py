@@ -76,7 +76,7 @@ class PolarSession:
         self._strap = Strap(link, emitter.strap)
         self._control = ControlPoint(link, self._receive)
         self._measurements = Measurements(self._control, emitter)
-        self._denied_battery: dict[str, str] = {}
+        self._denied: dict[str, str] = {}
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
         """Connect, start everything, and return the device information.
@@ -108,7 +108,7 @@ class PolarSession:
         else:
             message = f"{self._link.what} is not a heart-rate sensor; choose another `device`"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
-        self._denied_battery = await self._strap.ask_for_battery()
+        self._denied |= await self._strap.ask_for_battery()
         return info
 
     @property
@@ -143,7 +143,7 @@ class PolarSession:
         refusals = self._measurements.refusals
         names = self._emitter.data_names
         measured = {names[each]: refusal.why for each, refusal in refusals.items()}
-        return measured | self._denied_battery
+        return measured | self._denied
 
     @property
     def rates(self) -> Mapping[str, float]:
@@ -196,7 +196,10 @@ class PolarSession:
         await self._plan.prepare(self._control, offered)
         wanted = self._plan.wanted(info)
         missing = [each.measurement for each in wanted if each.measurement not in offered]
-        if missing:
+        if missing and not self._control.is_listed:
+            why = "it does not say what it can measure; switch it off and on"
+            self._denied = {self._emitter.data_names[each]: why for each in missing}
+        elif missing:
             names = [measurement.name.lower() for measurement in missing]
             self._emitter.log.warn_once(
                 "the device cannot measure everything requested", missing=names

@@ -19,6 +19,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Setting,
     Status,
     choose,
+    has_features,
     parse_features,
     parse_indication,
     parse_settings,
@@ -47,6 +48,7 @@ class ControlPoint(BleSession[Notification, bytes]):
         self, link: BleLink, receive: Callable[[], Awaitable[Sequence[Notification]]]
     ) -> None:
         super().__init__(link, receive, self._write, _RESTART_ADVICE)
+        self.is_listed = True  # Whether the device said what it offers.
         self._knocking = False
         self._open = False
 
@@ -69,12 +71,15 @@ class ControlPoint(BleSession[Notification, bytes]):
             If the device refuses, possibly because it requires pairing.
         """
         # Before subscribing, because BlueZ also passes on values read as notifications.
-        features = parse_features(await self.link.read(CONTROL_POINT))
+        listed = await self.link.read(CONTROL_POINT)
+        if not has_features(listed):
+            listed = await self.link.read(CONTROL_POINT)
+        self.is_listed = has_features(listed)
         self._knocking = True
         # Before the first command, otherwise it is refused or never answered.
         await self.link.subscribe(CONTROL_POINT)
         await self.link.subscribe(DATA)
-        return features
+        return parse_features(listed)
 
     async def request(self, command: bytes, note: Callable[[Reply], None] = _unnoted) -> Reply:
         """Send a command and return its complete reply, whatever its status.

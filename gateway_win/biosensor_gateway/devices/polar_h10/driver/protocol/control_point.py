@@ -109,9 +109,14 @@ class Stopped:
     measurements: tuple[int, ...]
 
 
+def has_features(data: bytes) -> bool:
+    """Whether the control point's value lists the available measurements."""
+    return len(data) >= 3 and data[0] == _FEATURES
+
+
 def parse_features(data: bytes) -> frozenset[int]:
     """Parse the available measurements from the control point's value."""
-    if len(data) < 3 or data[0] != _FEATURES:
+    if not has_features(data):
         return frozenset()
     mask = int.from_bytes(data[1:3], "little")
     return frozenset(bit for bit in range(16) if mask >> bit & 1)
