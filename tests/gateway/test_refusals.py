@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
+import pylsl
 import pytest
 import typer
 
@@ -638,3 +639,23 @@ async def test_a_virtual_port_says_what_the_system_lacks(
     port = PtyPort(lambda _: None, lambda: None, 4096)
     with pytest.raises(TransportError, match=r"no pseudo-terminal left .*: No such device; in a "):
         port.open()
+
+
+# Two agents with one settings file.
+
+
+@pytest.mark.seam
+def test_another_agent_that_sends_the_same_sensor_is_told_until_it_ends() -> None:
+    own, other = Refusals(), Refusals()
+    ids = [f"P01@polar_h10.{each}-ecg" for each in ("twin", "alone")]
+    infos = [pylsl.StreamInfo(each, "ECG", 1, 130.0, "int32", each) for each in ids]
+    outlets = [pylsl.StreamOutlet(each) for each in infos]
+    twin = [pylsl.StreamOutlet(infos[0])]
+    watch = agent_process.TwinWatch(lambda: dict(zip(ids, (own, other), strict=True)))
+    watch.look()
+    assert [each.what for each in own.present] == [Refusal.EITHER_SENDER]
+    assert other.present == []
+    twin.clear()
+    watch.look()
+    assert own.present == []
+    del outlets

@@ -417,6 +417,11 @@ class Agent:
             for source, refusals in device.sink.refused.items()
         }
 
+    def refusals_of_devices(self) -> dict[str, Refusals]:
+        """Return the refusals of each device by the source_id of its first stream."""
+        opened = [sink for sink in self._sinks_with_room() if sink.counters]
+        return {next(iter(sink.counters)): sink.refusals for sink in opened}
+
     def _refused_of_devices(self) -> dict[str, list[str]]:
         """Return present refusals that concern no single stream, by a device's first source_id."""
         return {

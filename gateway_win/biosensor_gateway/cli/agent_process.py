@@ -7,6 +7,7 @@ import os
 import subprocess
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
 from functools import partial
@@ -19,7 +20,10 @@ import typer
 
 from biosensor_common.child import Backoff, close_input, ending_in_words, send, wait_or_kill
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_common.lsl.network import search
+from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.process_limits import END_S, end_within
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.device_set import ReadSettings
@@ -258,7 +262,10 @@ def _run_agent(
         if panel is not None:
             agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
-        with FeatureProcess(loaded.lsl) if features else nullcontext() as process:
+        with (
+            TwinWatch(agent.refusals_of_devices),
+            FeatureProcess(loaded.lsl) if features else nullcontext() as process,
+        ):
             if process is not None:
                 agent.on_end = process.end_soon
             asyncio.run(until_signalled(agent.run if unguarded else controlled, code=0))
@@ -288,6 +295,46 @@ async def _run_controlled(agent: Agent, folder: Path) -> None:
         except ConfigError as error:
             _log.warning(str(error))
         await agent.run()
+
+
+_TWINS_EVERY_S, _TWINS_FOR_S = 10.0, 1.5
+
+
+class TwinWatch:
+    """Context manager that reports devices which another agent of the LSL session sends, too.
+
+    As with a settings file that was copied: programs would take the streams of either.
+
+    Parameters
+    ----------
+    refusals
+        Returns the refusals of each device by the source_id of its first stream.
+    """
+
+    def __init__(self, refusals: Callable[[], Mapping[str, Refusals]]) -> None:
+        self._refusals = refusals
+        self._stopping = threading.Event()
+
+    def __enter__(self) -> Self:
+        # A daemon, because a search lasts longer than the end of the agent may.
+        threading.Thread(target=self._watch, name="twins", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping.set()
+
+    def _watch(self) -> None:
+        while not self._stopping.wait(_TWINS_EVERY_S):
+            self.look()
+
+    def look(self) -> None:
+        """Search once."""
+        refusals = self._refusals()
+        wanted = any_of(*(equals("source_id", each) for each in refusals))
+        found = search(lambda _, passed_s: passed_s > _TWINS_FOR_S, wanted)
+        outlets = Counter(each.source_id() for each in found)
+        for source_id, told in refusals.items():
+            told.hold(Refusal.EITHER_SENDER, outlets[source_id] > 1)
 
 
 class FeatureProcess:
