@@ -920,3 +920,15 @@ def test_a_channel_of_another_program_that_does_not_change(
 def test_a_channel_that_is_never_there_is_no_flat_one() -> None:
     values = [[math.nan, float(k % 13)] for k in range(3000)]
     assert "flat" not in {each.code for each in check(_eeg(values)).findings}
+
+
+def test_streams_that_are_there_twice_are_one_event() -> None:
+    stamps = _times(3000)
+    streams = [
+        x.regular(number, name, stamps, RATE, source_id=name, host="h")
+        for number, name in enumerate(["a", "b", "a", "b"], 1)
+    ]
+    report = check(x.xdf(*(part for each in streams for part in each)))
+    ((head, parts),) = by_event(report.findings)
+    assert head.text == "2 streams each have the source_ids 'a', 'b'"
+    assert [each.text for each in parts] == [f"2 streams have the name {each!r}" for each in "ab"]

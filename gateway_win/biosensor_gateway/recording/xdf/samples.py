@@ -109,7 +109,7 @@ class Constants:
             self._add(block.stamps[begin:end], block.values[begin:end], self._limit_s)
 
     def _add(self, stamps: NDArray[np.float64], values: NDArray[Any], limit_s: float) -> None:
-        # NaN, which is no value, is passed over.
+        # NaN stands for no value, and is ignored.
         low, high = np.fmin.reduce(values), np.fmax.reduce(values)
         is_one = low == high
         # Of what was sent in a gap nothing is known.

@@ -155,16 +155,28 @@ def _missing(measured: Sequence[Measured], expected: Sequence[ExpectedStream]) -
 
 
 def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
-    ids = Counter(each.stream.header.source_id for each in measured)
+    headers = [each.stream.header for each in measured]
+    ids = Counter(each.source_id for each in headers)
+    # One event, as with two agents, if it is so of many streams.
+    together: dict[int, list[str]] = {}
     for source_id, count in ids.items():
         if source_id and count > 1:
-            text = f"{count} streams have the source_id {source_id!r}"
-            yield Finding(Level.ERROR, "duplicate-source-id", "", text)
-    names = Counter(each.stream.header.name for each in measured)
+            together.setdefault(count, []).append(source_id)
+    told: dict[str, str] = {}
+    for count, same in together.items():
+        named = ", ".join(map(repr, same))
+        text = f"{count} streams have the source_id {named}"
+        if len(same) > 1:
+            text = f"{count} streams each have the source_ids {named}"
+        told |= dict.fromkeys(same, text)
+        yield Finding(Level.ERROR, "duplicate-source-id", "", text)
+    names = Counter(each.name for each in headers)
     for name, count in names.items():
         if count > 1:
             text = f"{count} streams have {f'the name {name!r}' if name else 'no name'}"
-            yield Finding(Level.WARNING, "duplicate-name", "", text)
+            causes = {told.get(each.source_id, "") for each in headers if each.name == name}
+            part_of = causes.pop() if len(causes) == 1 else ""
+            yield Finding(Level.WARNING, "duplicate-name", "", text, part_of=part_of)
 
 
 def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
