@@ -57,17 +57,11 @@ class Manner(Enum):
 
 
 class Requests:
-    """Counts the requests of a driver, one of which does not get what it wants.
-
-    Attributes
-    ----------
-    asked
-        All of them; equal ones are the same request.
-    """
+    """Counts the requests of a driver, one of which does not get what it wants."""
 
     def __init__(self, number: int, manner: Manner) -> None:
         self.manner = manner
-        self.asked: list[str] = []
+        self.asked: list[str] = []  # All of them; equal ones are the same request.
         self._number = number
         self._draw = np.random.default_rng(number + 1)
         self._is_spoilt = False

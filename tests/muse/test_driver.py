@@ -405,17 +405,12 @@ LONGEST_BURST = 7
 
 
 class Losing:
-    """Lets notifications of a headband be lost on the way, several in a row.
-
-    Attributes
-    ----------
-    measured
-        All samples that it measured, with their times, by data name.
-    """
+    """Lets notifications of a headband be lost on the way, several in a row."""
 
     def __init__(
         self, device: SimulatedMuse | SimulatedAthena, seed: int, patch: pytest.MonkeyPatch
     ) -> None:
+        # All samples that it measured, with their times, by data name.
         self.measured: dict[str, list[tuple[float, Floats]]] = {}
         self.is_losing = False
         self._draw = random.Random(seed)

@@ -38,15 +38,9 @@ from biosensor_gateway.system.terminal import on_one_line, sentence_of
 
 
 class SettingsChange(Body):
-    """A change of the settings.
+    """A change of the settings."""
 
-    Attributes
-    ----------
-    while_recording
-        Whether to make the change during a recording.
-    """
-
-    while_recording: bool = False
+    while_recording: bool = False  # Whether to make the change during a recording.
 
 
 class NewDevice(SettingsChange):

@@ -41,17 +41,10 @@ MOST_CHANGES = 50
 
 @dataclass(frozen=True, slots=True)
 class RateChange:
-    """A change of a stream's rate.
+    """A change of a stream's rate."""
 
-    Attributes
-    ----------
-    at
-        Index of the first sample with the new rate; those with a NaN timestamp count, too.
-    stamp_s, step_s
-        Its timestamp, and the step to it.
-    """
-
-    at: int
+    at: int  # Index of the first sample with the new rate; those with a NaN timestamp count, too.
+    # stamp_s, step_s: its timestamp, and the step to it.
     stamp_s: float
     step_s: float
     before_hz: float
