@@ -24,22 +24,33 @@ _Number = Annotated[int, Field(ge=0, le=_LARGEST)]
 
 
 class NewMark(Body):
-    """A marker in a POST request."""
+    """A marker in a POST request.
+
+    Attributes
+    ----------
+    age_ms
+        Age of the marker in milliseconds; None if it happens now.
+    """
 
     marker: _Text
     note: _Text = ""
-    # Age of the marker in milliseconds; None if it happens now.
     age_ms: Annotated[float, Field(ge=0, le=1000 * MAX_WEB_AGE_S, strict=False)] | None = None
 
 
 class Hello(Body):
-    """The first message of a page."""
+    """The first message of a page.
+
+    Attributes
+    ----------
+    client
+        Identifies the page, also after it has connected again.
+    resolution_ms
+        Resolution of the browser's clock in milliseconds.
+    """
 
     type: Literal["hello"]
     token: Annotated[str, StringConstraints(max_length=200)]
-    # Identifies the page, also after it has connected again.
     client: Annotated[str, StringConstraints(max_length=64)] = ""
-    # Resolution of the browser's clock in milliseconds.
     resolution_ms: Annotated[float, Field(ge=0, le=1000, strict=False)] = 1.0
 
 
@@ -52,13 +63,20 @@ class Pong(Body):
 
 
 class Mark(Body):
-    """A marker."""
+    """A marker.
+
+    Attributes
+    ----------
+    ref
+        The page's number for the marker; the same if it is sent again.
+    at
+        The browser's time in milliseconds at which it happened; None for when it arrives.
+    """
 
     type: Literal["mark"]
-    ref: _Number  # The page's number for the marker; the same if it is sent again.
+    ref: _Number
     marker: _Text
     note: _Text = ""
-    # The browser's time in milliseconds at which it happened; None for when it arrives.
     at: _Milliseconds | None = None
 
 

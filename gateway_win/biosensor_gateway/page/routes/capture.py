@@ -32,23 +32,39 @@ from biosensor_gateway.settings.places import usual_recordings_folder
 
 
 class NewCapture(Body):
-    """The device to capture: by its unit in the settings, or by new settings for a found device."""
+    """The device to capture: by its unit in the settings, or by new settings for a found device.
+
+    Attributes
+    ----------
+    unit
+        Empty for a device that is not in the settings.
+    settings
+        Fields of such a device, as its table in the settings would have them.
+    end_agent
+        Whether the agent may be ended if it has the device; it is started again afterwards.
+    """
 
     sensor: str
-    unit: str = ""  # Empty for a device that is not in the settings.
-    # Fields of such a device, as its table in the settings would have them.
+    unit: str = ""
     settings: dict[str, str | int | float | bool] = Field(default_factory=dict)
     seconds: float = Field(SECONDS, ge=5, le=3600)
-    # Whether the agent may be ended if it has the device; it is started again afterwards.
     end_agent: bool = False
 
 
 class Agreement(Body):
-    """The wearer's consent to what `CaptureView.consent` says."""
+    """The wearer's consent to what `CaptureView.consent` says.
+
+    Attributes
+    ----------
+    folder
+        Folder of the file.
+    note
+        Observations, without names.
+    """
 
     agreed: Literal[True]
-    folder: str  # Folder of the file.
-    note: str = Field("", max_length=MOST_NOTE)  # Observations, without names.
+    folder: str
+    note: str = Field("", max_length=MOST_NOTE)
 
 
 class ConfiguredDevice(BaseModel):

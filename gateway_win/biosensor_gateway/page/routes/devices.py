@@ -38,9 +38,15 @@ from biosensor_gateway.system.terminal import on_one_line, sentence_of
 
 
 class SettingsChange(Body):
-    """A change of the settings."""
+    """A change of the settings.
 
-    while_recording: bool = False  # Whether to make the change during a recording.
+    Attributes
+    ----------
+    while_recording
+        Whether to make the change during a recording.
+    """
+
+    while_recording: bool = False
 
 
 class NewDevice(SettingsChange):

@@ -82,18 +82,28 @@ class Salvaged(BaseModel):
 
 
 class ToSalvage(RecordingPath):
-    """A recording to salvage."""
+    """A recording to salvage.
 
-    # Another recording of the same streams, in place of headers that are lost; may be empty.
+    Attributes
+    ----------
+    header_from
+        Another recording of the same streams, in place of headers that are lost; may be empty.
+    """
+
     header_from: PathText = ""
 
 
 class NewExport(RecordingPath):
-    """A recording to export, or a folder of recordings; without `output`, next to them."""
+    """A recording to export, or a folder of recordings; without `output`, next to them.
+
+    Attributes
+    ----------
+    whose
+        Which participant is right, that of the file name or of the sensors; None if undecided.
+    """
 
     formats: Annotated[list[str], Field(min_length=1, max_length=len(FORMATS))]
     output: PathText = ""
-    # Which participant is right, that of the file name or of the sensors; None if undecided.
     whose: Annotated[Whose | None, Field(strict=False)] = None
 
 

@@ -52,18 +52,33 @@ from biosensor_gateway.settings.places import usual_recordings_folder, warnings_
 
 
 class NewRecording(Body):
-    """Name of a new recording, by BIDS entities, with its folder and options."""
+    """Name of a new recording, by BIDS entities, with its folder and options.
+
+    Attributes
+    ----------
+    folder
+        Empty for the default folder.
+    only_ours
+        Leave out streams of other programs, including live features.
+    allow_missing
+        Record even if streams of the agent's devices are missing.
+    set_sensors
+        Set the participant of all sensors first.
+    other_participants
+        Record even if other people than the participant wear the sensors.
+    without_away
+        Record even if sensors are paused or do not stream.
+    """
 
     participant: str
     session: str = "S001"
     task: str = "Default"
-    folder: PathText = ""  # Empty for the default folder.
-    only_ours: bool = False  # Leave out streams of other programs, including live features.
-    allow_missing: bool = False  # Record even if streams of the agent's devices are missing.
-    set_sensors: bool = False  # Set the participant of all sensors first.
-    # Record even if other people than the participant wear the sensors.
+    folder: PathText = ""
+    only_ours: bool = False
+    allow_missing: bool = False
+    set_sensors: bool = False
     other_participants: bool = False
-    without_away: bool = False  # Record even if sensors are paused or do not stream.
+    without_away: bool = False
 
 
 def add_recording(router: APIRouter, recorder: Recorder) -> None:
