@@ -25,6 +25,7 @@ from lsl_to_ros.live_table import (
     PATIENCE_S,
     Waiting,
     summary,
+    top,
     waiting_share,
 )
 from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, fault
@@ -397,3 +398,14 @@ def test_what_was_not_taken_is_told_for_10_s(monkeypatch: pytest.MonkeyPatch) ->
         now_s = float(second)
         grown.append(flow.look(100, 50 if second >= 2 else 0))
     assert grown == [0, 0, *[50] * 10, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("height", "kept"), [(0, 9), (10, 9), (9, 7), (24, 9), (2, 1)])
+def test_a_low_terminal_shows_the_headings_and_says_what_it_leaves_out(
+    height: int, kept: int
+) -> None:
+    lines = ["topic  type", *(f"/biosensors/{each}  Float32" for each in range(8))]
+    shown = top("\n".join(lines), height).splitlines()
+    assert shown[:kept] == lines[:kept]
+    left_out = [f"... and {9 - kept} more topics: in a higher window, or at the end"]
+    assert shown[kept:] == (left_out if kept < 9 else [])

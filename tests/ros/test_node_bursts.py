@@ -197,7 +197,7 @@ def test_a_topic_that_nobody_can_follow_is_told_with_who_reads_it(
     assert ros.set("burst_pacing", 0.0) == ""
     ros.attached(topic, readers=1)
     flowing = flow(sound, RATE_HZ)
-    expected = ("messages a second", f"read {topic}_chunk instead", "plotter: best effort")
+    expected = ("messages per second", f"read {topic}_chunk instead", "plotter: best effort")
     ros.until(lambda: says(ros, topic, *expected), "the topic is too fast")
     pushed = flowing.stop()
 
@@ -206,7 +206,7 @@ def test_a_topic_that_nobody_can_follow_is_told_with_who_reads_it(
         return status is not None and status["published"] == status["received"] == str(pushed)
 
     ros.until(is_told, "what was published is counted")
-    ros.until(lambda: not says(ros, topic, "messages a second"), "it is over")
+    ros.until(lambda: not says(ros, topic, "messages per second"), "it is over")
     load = ros.status("node")
     assert load is not None
     assert float(load["cpu_percent"]) > 0.0
@@ -227,11 +227,11 @@ def test_data_that_wait_in_the_node_are_told_until_they_have_gone(
     def are_told() -> bool:
         shown = [ros.status(name) for name in (topic, "node")]
         have_waited = all(each is not None and float(each["queue_age_s"]) >= 1.0 for each in shown)
-        return have_waited and says(ros, "node", "data have waited", "Sensor_Enable")
+        return have_waited and says(ros, "node", "data has waited", "Sensor_Enable")
 
     ros.until(are_told, "data wait")
-    ros.until(lambda: node.count("data have waited") >= 1, "the log says it, too")
+    ros.until(lambda: node.count("data has waited") >= 1, "the log says it, too")
     assert ros.set("burst_pacing", 0.0) == ""
     ros.until(lambda: len(heard) == QUEUED, "all samples")
-    ros.until(lambda: not says(ros, "node", "data have waited"), "nothing waits any more")
+    ros.until(lambda: not says(ros, "node", "data has waited"), "nothing waits any more")
     assert ros.set("burst_pacing", 0.5) == ""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -274,6 +275,17 @@ def render(rows: Sequence[Row], width: int | None = None) -> str:
     )
 
 
+def top(table: str, height: int) -> str:
+    """Return as many lines of a table as fit into a terminal, headings first; 0 for any height."""
+    lines = table.splitlines()
+    # The last line of a terminal is that of the cursor.
+    if not height or len(lines) < height:
+        return table
+    kept = lines[: max(1, height - 2)]
+    left_out = len(lines) - len(kept)
+    return "\n".join([*kept, f"... and {left_out} more topics: in a higher window, or at the end"])
+
+
 def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str], int]:
     """Return lines about the topics without data, with reasons, and the exit code.
 
@@ -346,7 +358,8 @@ def _spin(node: LiveTable, waiting: Waiting, stopping: threading.Event) -> None:
             # Rendered also without a terminal, because rates are measured between two renderings.
             table = render(list(node.rows.values()), columns(sys.stdout))
             if sys.stdout.isatty():
-                sys.stdout.write(f"{_CLEAR}{table}\n")
+                height = shutil.get_terminal_size((WIDTH, 0)).lines
+                sys.stdout.write(f"{_CLEAR}{top(table, height)}\n")
                 sys.stdout.flush()
         if now >= waiting.end_s:
             break
