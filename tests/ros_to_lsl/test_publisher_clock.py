@@ -25,6 +25,7 @@ from lsl_to_ros.ros_to_lsl.stamps import (
     PATIENCE_S,
     WAY_S,
     ClockState,
+    Doubt,
     MessageStamping,
     Offset,
     PublisherClock,
@@ -455,3 +456,10 @@ def test_without_numbers_nobody_knows() -> None:
     losses = PublicationLosses()
     losses.take(None)
     assert losses.lost is None
+
+
+@pytest.mark.parametrize(("late_s", "may_be"), [(1_796_000_000.0, True), (5.0, False)])
+def test_headers_of_simulated_time_are_told_as_such(late_s: float, may_be: bool) -> None:
+    doubt = Doubt(ClockState.WRONG, late_s, None, is_used=False)
+    assert ("use_sim_time" in doubt_of(StampSource.HEADER, doubt)) is may_be
+    assert "use_sim_time" not in doubt_of(StampSource.SOURCE, doubt)

@@ -21,6 +21,8 @@ WAY_S = 0.02
 """The fastest messages in a lab network take no longer; a larger delay may be the clock's error."""
 BEHIND_S = 1.0
 """No network takes so long; a larger delay is the clock's error."""
+SIMULATED_S = 60.0
+"""Headers that are further off may be of simulated time."""
 PATIENCE_S = 2.0
 """For this time, late messages may still be explained by a backlog."""
 MOMENT_S, LONGEST_S, MOMENTS_S, LEAST_MOMENTS = 0.1, 2.0, 10.0, 10
@@ -424,7 +426,10 @@ def doubt_of(source: StampSource, doubt: Doubt) -> str:
         StampSource.HEADER: "the timestamps in its headers are",
         StampSource.SOURCE: "the clock of its publisher is",
     }[source]
-    return f"{whose} {_how_far(doubt)}; they are not used: synchronise the clocks (chrony, PTP)"
+    advice = "synchronise the clocks (chrony, PTP)"
+    if source is StampSource.HEADER and abs(doubt.edge_s) > SIMULATED_S:
+        advice = f"if its node uses simulated time (use_sim_time), switch that off; else {advice}"
+    return f"{whose} {_how_far(doubt)}; they are not used: {advice}"
 
 
 def _how_far(doubt: Doubt) -> str:
