@@ -26,7 +26,7 @@ from biosensor_gateway.features.sources import judge as judge_source
 from biosensor_gateway.features.sources import stream_info
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.xdf.counters import Reading, newest_of_each_kind, refusals
-from biosensor_gateway.recording.xdf.findings import Level, by_event
+from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, judge, verdict
@@ -932,3 +932,12 @@ def test_streams_that_are_there_twice_are_one_event() -> None:
     ((head, parts),) = by_event(report.findings)
     assert head.text == "2 streams each have the source_ids 'a', 'b'"
     assert [each.text for each in parts] == [f"2 streams have the name {each!r}" for each in "ab"]
+
+
+def test_a_restart_is_not_told_again_for_each_stream() -> None:
+    head = Finding(Level.WARNING, "restarted", "", "the agent was restarted between 4 s and 8 s")
+    again = Finding(Level.WARNING, "restarted", "ecg", "once", part_of=head.text)
+    gap = Finding(Level.WARNING, "gaps", "ecg", "1 gap", part_of=head.text)
+    assert by_event([again, head, gap]) == [(head, [gap])]
+    # One whose event is in no list stands for itself.
+    assert by_event([again, gap]) == [(again, []), (gap, [])]

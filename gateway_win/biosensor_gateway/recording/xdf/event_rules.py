@@ -117,7 +117,7 @@ def _missing_times(code: str, measured: Measured, extent: Extent) -> Sequence[Ga
     gaps = figures.gaps
     if code == "paused":
         return figures.pauses.listed
-    if code == "gaps" and gaps.count == len(gaps.listed):
+    if code in ("gaps", "held-up") and gaps.count == len(gaps.listed):
         return gaps.listed
     if code == "lost" and measured.counters is not None and gaps.count == len(gaps.listed):
         # Of the gaps an estimate is known, of some devices also the count.

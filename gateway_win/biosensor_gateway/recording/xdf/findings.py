@@ -72,7 +72,9 @@ def by_event(findings: Sequence[Finding]) -> list[tuple[Finding, list[Finding]]]
     heads = {each.text: each for each in reversed(findings) if not each.part_of}
     parts: dict[str, list[Finding]] = {text: [] for text in heads}
     for each in findings:
-        parts.get(each.part_of, []).append(each)
+        # That the agent was restarted is said once, not again for each stream.
+        if each.part_of and each.code != heads.get(each.part_of, each).code:
+            parts[each.part_of].append(each)
     return [
         (each, parts[each.text] if heads.get(each.text) is each else [])
         for each in findings
