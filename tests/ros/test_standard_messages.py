@@ -325,6 +325,18 @@ def test_a_table_that_fits_is_not_cut() -> None:
     assert fitted(table(""), 1000) == table("")
 
 
+def test_the_table_fits_a_terminal_of_80_columns() -> None:
+    rows = [
+        Row(each[0].removesuffix("_chunk"), MessageType.STRING, 7, last=String(data=EVENT))
+        for each in table("")[1:]
+    ]
+    rows.append(Row("/biosensors/gateway/counters", MessageType.DIAGNOSTIC_ARRAY))
+    lines = render(rows, 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[0].endswith("lost")
+    assert all(each.endswith("unknown") for each in lines[1:])
+
+
 def test_without_a_terminal_the_table_fits_a_log() -> None:
     topics = table("")[1:]
     rows = [

@@ -154,7 +154,7 @@ Line = tuple[str, ...]
 _GAP = 2
 _TOPIC, _VALUE = 0, 4
 _PREFIX = "/biosensors/"
-_LEAST_VALUE, _LEAST_TOPIC = 12, 20
+_LEAST_VALUE, _LEAST_TOPIC, _SHORTEST_VALUE = 12, 20, 8
 
 
 @dataclass(slots=True)
@@ -379,15 +379,17 @@ def _conclude(node: LiveTable, waiting: Waiting, reasons: Mapping[str, str]) -> 
 def fitted(lines: Sequence[Line], width: int) -> Sequence[Line]:
     """Shorten the lines of a table, headings first, to fit a width.
 
-    A prefix of all topics moves to the heading; then types, values and at last names are
-    shortened. A table that fits is not changed.
+    A prefix of all topics moves to the heading; then types, values, names and at last
+    values again are shortened. A table that fits is not changed.
     """
     if _total(lines) <= width:
         return lines
     headings, *rows = lines
     lines = [(f"topic in {_PREFIX}", *headings[1:]), *(_brief(row) for row in rows)]
     lines = _narrowed(lines, _VALUE, width, _LEAST_VALUE, _short_value)
-    return _narrowed(lines, _TOPIC, width, _LEAST_TOPIC, shortened)
+    lines = _narrowed(lines, _TOPIC, width, _LEAST_TOPIC, shortened)
+    # 80 columns need it: a line that wraps would move the headings out of a low terminal.
+    return _narrowed(lines, _VALUE, width, _SHORTEST_VALUE, _short_value)
 
 
 def widths(lines: Sequence[Line]) -> list[int]:
