@@ -228,6 +228,18 @@ def test_a_stream_that_is_missing_in_the_recording_is_said_and_is_red(
     assert re.search(r"^ a +300 +0 +- *$", said, re.MULTILINE)
 
 
+def test_who_tries_it_beside_somebody_else_is_told_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.xdf"
+    stamps = [1000 + k / 10 for k in range(300)]
+    file.write_bytes(x.xdf(*x.regular(1, "a", stamps, 10.0), *x.regular(2, "a", stamps, 10.0)))
+    print_verdict(check(file, by_name(["a"])))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Somebody else in this network tries it at the same time" in said
+    assert "set the environment variable BIOSENSOR_GATEWAY_LSL__SESSION_ID to a word" in said
+
+
 def _start(folder: Path, *options: str) -> subprocess.Popen[str]:
     """Start it as in a terminal: Ctrl-C reaches all that it starts."""
     # The folders of its user are not to be touched, so they are there to be looked at.

@@ -63,6 +63,8 @@ _ASK_S = 0.2
 _LOOK_S = 5.0
 _LEAST_TABLE_S = 10.0
 _TABLES = "csv"
+_DOUBLED = "duplicate-source-id"
+_SESSION_VARIABLE = "BIOSENSOR_GATEWAY_LSL__SESSION_ID"
 _PAGE = "page"
 
 
@@ -312,6 +314,12 @@ def print_verdict(verdict: Verdict) -> None:
     for line in finding_lines([each for each in verdict.findings if each.level is not Level.NOTE]):
         say(line)
     say(f"{verdict.colour}: {verdict.sentence}")
+    if any(each.code == _DOUBLED for each in verdict.findings):
+        say(
+            "Somebody else in this network tries it at the same time, or runs an agent: those "
+            "streams have the same names. For a session of your own, set the environment "
+            f"variable {_SESSION_VARIABLE} to a word of yours."
+        )
     if verdict.colour is not Colour.RED and not all(each.samples for each in named):
         say(
             "Streams without samples report things that seldom happen, such as a change of the "
