@@ -135,6 +135,21 @@ def test_before_the_usual_pulse_is_known_no_small_wave_is_one(bpm: float, noise:
         assert len(found[found < 10]) >= np.sum(beats < 10) - 1
 
 
+@pytest.mark.parametrize("pause_s", [1.2, 2.2, 4.0])
+@pytest.mark.parametrize("bpm", [42, 65, 95, 140])
+@pytest.mark.parametrize("make", [_ecg, _pulse], ids=["ECG", "PPG"])
+def test_a_rate_without_its_pauses_is_not_called_good(
+    make: Make, bpm: float, pause_s: float
+) -> None:
+    steady = signals.regular(bpm, SECONDS)
+    beats = steady + pause_s * np.floor(steady / 22)
+    beats = beats[beats < SECONDS]
+    told = told_of(signals.events_of(*make(beats)), beats)
+    assert told.wrong == 0
+    # Between two of them there is one that is good, where the pulses are not called weak.
+    assert told.is_good.any() or bpm < 60
+
+
 def test_two_pulses_in_a_row_that_are_missed_are_no_slower_heart() -> None:
     heart = Heart()
     # The second long interval is like the one before it.

@@ -138,8 +138,11 @@ class Heart:
             taken = [each for each in last if is_good and low <= each.length_s <= high]
         if len(taken) < at.HR_LEAST:
             return []  # nothing is dropped: hr_live_quality says how few there are
-        rate = 60 * len(taken) / math.fsum(each.length_s for each in taken)
+        rate = _rate_of(taken)
         covered = _covered(taken, self._stamp, window_s)
+        if abs(_rate_of(last) - rate) > at.HR_APART_PER_MIN:
+            # A heart that paused, or beats that were missed or invented: no interval tells which.
+            quality = min(quality, at.HR_APART_QUALITY) if quality >= 0 else quality
         beside = (float(len(taken)), len(valid) / len(last), covered, quality, NOTHING)
         return [
             Event("hr_live", self._stamp, (rate,)),
@@ -167,6 +170,10 @@ class Heart:
             values += [*found, share]
             beside += [float(len(valid)), covered, self._quality(window_s), NOTHING]
         return [Event("hrv_live", self._stamp, (*values, *beside))]
+
+
+def _rate_of(intervals: Sequence[_Interval]) -> float:
+    return 60 * len(intervals) / math.fsum(each.length_s for each in intervals)
 
 
 def _usual(intervals: Sequence[_Interval]) -> list[_Interval]:

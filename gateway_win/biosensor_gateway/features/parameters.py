@@ -99,6 +99,9 @@ HR_FEW_INVALID, HR_FEW_SHARE = 3, 0.4
 HR_USUAL_TIMES = 1.7
 """By this factor, valid intervals may differ from their median: two beats missed in a row make two
 long intervals, of which the second is like the one before."""
+HR_APART_PER_MIN, HR_APART_QUALITY = 3.0, 0.4
+"""By how much the rate of all intervals may differ from that of those which are taken, and above
+what the quality is not if it does."""
 HR_QUALITY_AGE_S = 1.5
 """How old the newest quality of a window may be; there is one every second."""
 HRV_WINDOWS_S = (30.0, 60.0, 300.0)
