@@ -379,3 +379,27 @@ def test_a_pause_is_told_where_gaps_are(exported: Exporting) -> None:
     told = "polar_h10/A1 of P01 was paused from 5.0 s to 8.0 s: data missing then was not sent"
     (readme,) = outcome.written[0].path.rglob("README.txt")
     assert told in " ".join(readme.read_text().split())
+
+
+@pytest.mark.parametrize("away_s", [1e308, -1e308, 1e18])
+def test_a_marker_of_any_time_is_in_the_table_of_markers(away_s: float, tmp_path: Path) -> None:
+    stamps = (1000.0 + np.arange(260) / 130).tolist()
+    path = tmp_path / "study.xdf"
+    told = [["near"], ["far"]] if away_s > 0 else [["far"], ["near"]]
+    moments = sorted([1001.0, away_s])
+    path.write_bytes(
+        made.xdf(
+            *made.regular(1, "ecg", stamps, 130.0),
+            made.stream_header(2, "events", kind="Markers", fmt="string"),
+            made.samples(2, "string", told, moments),
+        )
+    )
+    task = Task(["csv"], Selection(), is_wide=True)
+    outcome = export(path, task, lambda _name, _s: lambda _done: None)
+    tables = list(outcome.written[0].path.glob("all_130*.csv"))
+    # Rows would be counted from the first of all times.
+    assert bool(tables) == (away_s > 0)
+    assert not tables or '"near"' in tables[0].read_text()
+    assert outcome.is_whole == (away_s > 0) or outcome.clock_notes
+    rows = (outcome.written[0].path / "all_markers.csv").read_text()
+    assert '"near"' in rows and '"far"' in rows

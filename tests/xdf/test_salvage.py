@@ -388,6 +388,11 @@ WRONG: dict[str, tuple[Callable[[str], str], str]] = {
     "a bare &": (_replaced("<hostname>host", "<hostname>R&D"), "a bare &"),
     "a document type": (lambda xml: f"<!DOCTYPE info>{xml}", "a document type"),
     "capitals": (_replaced("float32", "Float32"), "channel_format"),
+    "another language's format": (_replaced("float32", "float"), "channel_format 'float'"),
+    "CDATA": (
+        _replaced("<hostname>host", "<hostname><![CDATA[R&D <1>]]>"),
+        "a CDATA section",
+    ),
 }
 
 

@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from html import escape
 
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_channels, read_header, read_xml
@@ -221,8 +222,8 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """Return the corrected content of a stream header chunk, and what was wrong with it.
 
     Fixes the errors that some programs make: control characters (such as the end of a C string), a
-    bare ``&``, a document type, spaces around fields, a decimal comma, ``cf_float32``, UTF-16, no
-    nominal rate or an impossible one.
+    bare ``&``, a document type, CDATA, spaces around fields, a decimal comma, ``cf_float32``,
+    UTF-16, no nominal rate or an impossible one.
 
     Raises
     ------
@@ -253,7 +254,14 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
 
 
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_FIXES = (
+
+
+def _escaped(section: re.Match[str]) -> str:
+    return escape(section[1])
+
+
+_FIXES: tuple[tuple[re.Pattern[str], str | Callable[[re.Match[str]], str], str], ...] = (
+    (re.compile(r"<!\[CDATA\[(.*?)\]\]>", re.DOTALL), _escaped, "a CDATA section"),
     (re.compile(r"<!DOCTYPE[^>\[]*(\[[^\]]*\])?[^>]*>"), "", "a document type"),
     (re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"), "", "control characters"),
     (re.compile(r"&(?!(?:\w{1,10}|#\d{1,7}|#x[0-9a-fA-F]{1,6});)"), "&amp;", "a bare &"),
@@ -272,10 +280,19 @@ def _fixed_rate(text: str) -> str:
         return "0"
 
 
+# What other languages call the formats.
+_FORMATS = {"float64": "double64", "double": "double64", "float": "float32", "str": "string"}
+
+
+def _fixed_format(text: str) -> str:
+    name = text.removeprefix("cf_").lower()
+    return _FORMATS.get(name, name)
+
+
 _FIXED_FIELDS: Mapping[str, Callable[[str], str]] = {
     "channel_count": _fixed_number,
     "nominal_srate": _fixed_rate,
-    "channel_format": lambda text: text.removeprefix("cf_").lower(),
+    "channel_format": _fixed_format,
 }
 
 

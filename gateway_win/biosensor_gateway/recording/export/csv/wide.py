@@ -164,9 +164,15 @@ def _told(runs: Runs) -> Iterator[str]:
         yield f"{text}, each an event {BAD_GAP} in {MARKERS}; there is no row"
 
 
+def _to_microseconds(seconds: Array) -> Array:
+    """Return rounded times; those that are beyond all clocks have no microseconds to round to."""
+    is_far = np.abs(seconds) > _MOST_ROWS
+    return np.where(is_far, seconds, np.round(np.where(is_far, 0.0, seconds), _MICROSECONDS))
+
+
 def _rows(chosen: Chosen, clock: Clock, line: Timeline, samples: Samples) -> bytes:
     times = on_clock(chosen, clock, samples.times)
-    since = np.round(line.since_zero(samples.times), _MICROSECONDS)
+    since = _to_microseconds(line.since_zero(samples.times))
     if isinstance(samples.values, list):
         rows = zip(times.tolist(), since.tolist(), samples.values, strict=True)
         return tables.quoted((time_s, since_s, *texts) for time_s, since_s, texts in rows)
@@ -334,7 +340,8 @@ def _member(
     if timing is None:
         return None
     why = stream.clock_error or ("its time steps back" if len(timing.parts) > 1 else "")
-    if not why and timing.rows > _MOST_ROWS:
+    away_s = abs(next(iter(timing.parts)).start_s - timeline(chosen, options.clock).zero_s)
+    if not why and (timing.rows > _MOST_ROWS or away_s > _MOST_ROWS / timing.rate_hz):
         why = "its timestamps are too far apart"
     if why:
         told = f"{stream.header.title}: in no wide table, because {why}; its own table contains it"
@@ -371,7 +378,11 @@ def _write_table(
     ]
     lead = [tables.SECONDS, tables.time_column(options.clock)]
     file.write(tables.quoted([unique([*lead, *heads, MARKER])]))
-    told = deque((round((time_s - zero_s) * rate_hz), text) for time_s, text in happened)
+    # A marker of another clock may have any time.
+    most = _MOST_ROWS / rate_hz
+    told = deque(
+        (round(min(max(time_s - zero_s, -most), most) * rate_hz), text) for time_s, text in happened
+    )
     while rows := [each.next_row for each in columns if each.next_row is not None]:
         begin = min(rows)
         values = np.full((_BLOCK, sum(each.width for each in columns)), np.nan)
