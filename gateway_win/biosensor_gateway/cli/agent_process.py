@@ -314,14 +314,16 @@ class TwinWatch:
     def __init__(self, refusals: Callable[[], Mapping[str, Refusals]]) -> None:
         self._refusals = refusals
         self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="twins", daemon=True)
 
     def __enter__(self) -> Self:
-        # A daemon, because a search lasts longer than the end of the agent may.
-        threading.Thread(target=self._watch, name="twins", daemon=True).start()
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stopping.set()
+        # A search in liblsl must not outlive the interpreter; a daemon, in case it takes longer.
+        self._thread.join(_TWINS_FOR_S)
 
     def _watch(self) -> None:
         while not self._stopping.wait(_TWINS_EVERY_S):
@@ -331,7 +333,11 @@ class TwinWatch:
         """Search once."""
         refusals = self._refusals()
         wanted = any_of(*(equals("source_id", each) for each in refusals))
-        found = search(lambda _, passed_s: passed_s > _TWINS_FOR_S, wanted)
+        found = search(
+            lambda _, passed_s: passed_s > _TWINS_FOR_S or self._stopping.is_set(), wanted
+        )
+        if self._stopping.is_set():
+            return  # nothing is dropped: the agent ends
         outlets = Counter(each.source_id() for each in found)
         for source_id, told in refusals.items():
             told.hold(Refusal.EITHER_SENDER, outlets[source_id] > 1)
