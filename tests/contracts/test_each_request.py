@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from enum import Enum
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -119,21 +120,9 @@ def over_the_air(requests: Requests) -> Generator[None]:
         yield
 
 
-def _no_of_e4(request: bytes) -> bytes:
-    return b"R " + request.split()[0] + b" ERR refused\n"
-
-
-def _no_of_zephyr(request: bytes) -> bytes:
-    return bytes((0x02, request[1], 0, 0, 0x15))
-
-
-NO: Mapping[str, Callable[[bytes], bytes]] = {
-    "empatica_e4": _no_of_e4,
-    "zephyr": _no_of_zephyr,
-    "shimmer": lambda _: b"\xfe",
-    "shimmer3_gsr": lambda _: b"\xfe",
-}
-"""How devices that are asked by bytes refuse, by sensor."""
+def refused(sensor: str, request: bytes) -> bytes:
+    """Return how a device that is asked by bytes refuses, as ``tests/<sensor>/refusal.py`` says."""
+    return import_module(f"tests.{sensor}.refusal").refusal(request)
 
 
 @contextmanager
@@ -145,7 +134,7 @@ def over_bytes(requests: Requests, sensor: str) -> Generator[None]:
         def meddled_write(self: Any, data: bytes) -> None:
             if requests.is_it("write", data.hex()) and requests.manner is not Manner.GARBAGE:
                 if requests.manner.refuses:
-                    deliver(self._traffic, NO[sensor](data), LSL_CLOCK())
+                    deliver(self._traffic, refused(sensor, data), LSL_CLOCK())
                 return
             write(self, data)
 

@@ -1,8 +1,9 @@
 """Outside its own folders nothing names a sensor: who adds one touches nothing else.
 
-Looked at is code: names, strings and comments of Python, and all of other files.
-Docstrings may give examples. A sensor's own are ``devices/<sensor>`` and ``tests/<sensor>``. Of
-the tests, those count that go over all sensors; a scenario may choose a sensor that suits it.
+Looked at is code: names, strings and comments of Python, and all of other files. Docstrings, and
+the comments that explain the fields of a class, may give examples. A sensor's own are
+``devices/<sensor>`` and ``tests/<sensor>``. Of the tests, those count that go over all sensors; a
+scenario may choose a sensor that suits it.
 """
 
 from __future__ import annotations
@@ -99,9 +100,24 @@ def code(path: Path) -> Iterator[tuple[int, str]]:
         and isinstance(node.value.value, str)
         for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
+    of_fields = set(_lines_of_fields(ast.parse(source)))
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.start[0] not in docstrings:
-            yield token.start[0], token.string
+        line = token.start[0]
+        explains_a_field = token.type == tokenize.COMMENT and line in of_fields
+        if line not in docstrings and not explains_a_field:
+            yield line, token.string
+
+
+def _lines_of_fields(module: ast.Module) -> Iterator[int]:
+    """Lines of the fields of classes, each with those between it and what stands above it."""
+    for each in ast.walk(module):
+        if isinstance(each, ast.ClassDef):
+            above = each.lineno
+            for statement in each.body:
+                end = statement.end_lineno or statement.lineno
+                if isinstance(statement, ast.AnnAssign):
+                    yield from range(above + 1, end + 1)
+                above = end
 
 
 def named(path: Path, words: re.Pattern[str]) -> list[str]:
@@ -128,6 +144,10 @@ def test_nothing_names_a_sensor_outside_its_own_folders() -> None:
         ("def _zephyr() -> None: ...", True),
         ('message = f"start the E4 {1}"', True),
         ("x = 1  # as Emotiv does", True),
+        ("class A:\n    # As of an E4.\n    x: int", False),
+        ("class A:\n    x: int  # As of an E4.", False),
+        ("class A:\n    x: str = 'zephyr'  # The usual one.", True),
+        ("class A:\n    # As of an E4.\n    x = 1", True),
         ('"""Such as zephyr."""', False),
         ("polarity = 1", False),
     ],

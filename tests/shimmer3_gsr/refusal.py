@@ -1,0 +1,5 @@
+"""It refuses as every Shimmer does."""
+
+from tests.shimmer.refusal import refusal
+
+__all__ = ["refusal"]
