@@ -67,9 +67,11 @@ class Sources:
         begun, first = self._begun[name], self._pushed[name]
         due = int((pylsl.local_clock() - begun) * RATE_HZ)
         # Whoever has no time pushes later, and as many.
-        stamps = [begun + number / RATE_HZ for number in range(first, due)]
-        if stamps:
-            self._outlets[name].push_chunk([[1.0, 2.0]] * len(stamps), stamps)
+        numbers = range(first, due)
+        if numbers:
+            stamps = [begun + number / RATE_HZ for number in numbers]
+            values = [[float(number % 7), float(number % 5)] for number in numbers]
+            self._outlets[name].push_chunk(values, stamps)
             self._pushed[name] = due
 
 

@@ -137,7 +137,11 @@ class Constants:
 
 def flat_text(flat: Sequence[Flat]) -> str:
     """Return the sentence about channels that did not change."""
-    named = ", ".join(f"{each.label} ({each.value:g})" for each in flat)
+    named = ", ".join(
+        # Without labels channels are numbered.
+        f"{'channel ' * each.label.isdigit()}{each.label} (always {each.value:g})"
+        for each in flat
+    )
     have = "has" if len(flat) == 1 else "have"
     longest_s = max(each.seconds for each in flat)
     return (
