@@ -12,6 +12,7 @@ import contextlib
 import faulthandler
 import io
 import os
+import re
 import sys
 import threading
 import time
@@ -175,7 +176,8 @@ LAST_LINES_S = 1.0
 _PIPE_BYTES = 1 << 20
 _BLOCK = 1 << 16
 _ASK_AGAIN_S = 0.05
-_NO_MULTICAST = b"Couldn't create multicast responder for"
+# Of IPv4: without IPv6 alone, others find the streams all the same.
+_NO_MULTICAST = re.compile(rb"Couldn't create multicast responder for \d+\.")
 NO_NETWORK = (
     b"LSL cannot use multicast here, as without a network: other computers may not find the "
     b"streams of this one\n"
@@ -255,10 +257,10 @@ class Relay:
 
     def _without_repeats(self, block: bytes) -> bytes:
         """Replace liblsl's lines about multicast, three for each outlet, by one sentence."""
-        if _NO_MULTICAST not in block:
+        if not _NO_MULTICAST.search(block):
             return block
         lines = block.splitlines(keepends=True)
-        others = [each for each in lines if _NO_MULTICAST not in each]
+        others = [each for each in lines if not _NO_MULTICAST.search(each)]
         told = [] if self._has_told_no_network else [NO_NETWORK]
         self._has_told_no_network = True
         return b"".join([*told, *others])

@@ -79,12 +79,7 @@ def run(
         ask = False
     if page and not restart_facts(os.environ):
         # Not after a restart: the first process has opened the page, and it is still there.
-        open_page_beside(settings)
-        # The page's process has no terminal where it could print its address.
-        typer.echo(
-            "The page opens in your browser; if it does not: biosensor-gateway page --no-open",
-            err=True,
-        )
+        _show_page(settings)
     from biosensor_gateway.cli.agent_process import stream  # takes a second
 
     stream(
@@ -95,6 +90,14 @@ def run(
         while_recording=while_recording,
         features=features,
         verbose=verbose,
+    )
+
+
+def _show_page(settings: Path | None) -> None:
+    open_page_beside(settings)
+    # The page's process has no terminal where it could print its address.
+    typer.echo(
+        "The page opens in your browser; if it does not: biosensor-gateway page --no-open", err=True
     )
 
 
