@@ -52,6 +52,19 @@ COMMANDS = {
 }
 
 
+def run_with_mounts(script: str) -> str:
+    """Run a script whose mounts nobody else sees; return what it prints."""
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=DEADLINE_S,
+        check=True,
+    )
+    return done.stdout
+
+
 def _said(command: str, spoilt: str, folder: Path) -> tuple[str, bool]:
     """Return what a command says on such a disk, and whether the disk's files are as before."""
     (folder / "disk").mkdir()
@@ -68,15 +81,7 @@ def _said(command: str, spoilt: str, folder: Path) -> tuple[str, bool]:
         spoil=SPOILT[spoilt].format(**places),
         **places,
     )
-    done = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", script],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=DEADLINE_S,
-        check=True,
-    )
-    return done.stdout, places["before"].read_text() == places["after"].read_text()
+    return run_with_mounts(script), places["before"].read_text() == places["after"].read_text()
 
 
 @pytest.mark.parametrize("spoilt", SPOILT)
@@ -134,14 +139,7 @@ def test_a_withdrawal_on_a_full_disk_loses_nothing_and_goes_on(tmp_path: Path) -
     echo "exit code $?"
     {PROGRAM} xdf export study/a.xdf --to csv --output {tmp_path}/a_csv
     """
-    said = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", script],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=DEADLINE_S,
-        check=True,
-    ).stdout
+    said = run_with_mounts(script)
     first, _, second = said.partition("as before\n")
     (undone,) = (line for line in first.splitlines() if line.startswith("not done: "))
     assert "study/a.xdf" in undone
