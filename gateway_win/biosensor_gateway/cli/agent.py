@@ -71,10 +71,7 @@ def run(
         # After a restart the person who answered may have left. None still asks if the settings
         # name no device, because there is nothing to stream then.
         ask = None
-    if fault and not simulate:
-        raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
-    if ask and (simulate or not can_ask()):
-        raise typer.BadParameter("--ask needs a terminal, and cannot be combined with --simulate")
+    _require_possible(is_virtual=bool(simulate), has_fault=bool(fault), asks=bool(ask))
     if page and ask is None:
         ask = False
     if page and not restart_facts(os.environ):
@@ -91,6 +88,13 @@ def run(
         features=features,
         verbose=verbose,
     )
+
+
+def _require_possible(*, is_virtual: bool, has_fault: bool, asks: bool) -> None:
+    if has_fault and not is_virtual:
+        raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
+    if asks and (is_virtual or not can_ask()):
+        raise typer.BadParameter("--ask needs a terminal, and cannot be combined with --simulate")
 
 
 def _show_page(settings: Path | None) -> None:
