@@ -17,8 +17,16 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.page.models import all_explained
 from biosensor_gateway.page.routes import files as page_files
 from biosensor_gateway.page.share import view_of
+from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export import exporting
+from biosensor_gateway.recording.recorder.request import (
+    BidsLabels,
+    RecorderError,
+    RecordingRequest,
+    VisibleStream,
+)
+from biosensor_gateway.recording.recorder.streams import Presence, require_startable
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from tests.page.test_whose import Page
@@ -217,6 +225,30 @@ def test_no_explanation_of_a_finding_names_an_option_alone() -> None:
         for text in (told.means, told.to_do):
             assert "xdf salvage" not in text, text
             assert not OPTION.search(text) or "the command `" in text, text
+
+
+ABSENT = Presence((), (), ("P01-zephyr-A-ecg",))
+SEEN = VisibleStream("eye", "eye-id", "lab-pc")
+
+
+@pytest.mark.parametrize(
+    ("presence", "wanted"),
+    [
+        (Presence((), (), ()), ()),
+        (ABSENT, (SEEN,)),
+        (Presence((SEEN,), (), (), away=("P01's strap is paused",)), (SEEN,)),
+    ],
+)
+def test_why_no_recording_begins_names_what_can_be_clicked(
+    presence: Presence, wanted: tuple[VisibleStream, ...]
+) -> None:
+    request = RecordingRequest(folder=Path("/data"), labels=BidsLabels("P01"))
+    with pytest.raises(RecorderError) as caught:
+        require_startable(presence, wanted, request)
+    told = clicked(str(caught.value))
+    assert not OPTION.search(told)
+    assert "biosensor-gateway" not in told
+    assert "*" in told or "tick" in told
 
 
 @pytest.mark.parametrize("shape", odd_shapes.files())

@@ -380,16 +380,14 @@ class ExplainedFinding(BaseModel):
 
 
 def sentence(finding: Finding) -> str:
-    """Return a finding as one sentence, with its stream."""
-    return f"{finding.stream}: {finding.text}" if finding.stream else finding.text
+    """Return a finding as one sentence for people who click, with its stream."""
+    return clicked(f"{finding.stream}: {finding.text}" if finding.stream else finding.text)
 
 
 def all_explained(findings: Sequence[Finding]) -> list[ExplainedFinding]:
     """Return findings with their explanations, each with its consequences."""
     return [
-        _explained(each).model_copy(
-            update={"consequences": [clicked(sentence(one)) for one in consequences]}
-        )
+        _explained(each).model_copy(update={"consequences": list(map(sentence, consequences))})
         for each, consequences in by_event(findings)
     ]
 
@@ -399,7 +397,7 @@ def _explained(finding: Finding) -> ExplainedFinding:
     return ExplainedFinding(
         level=finding.level.value,
         about=finding.about.value,
-        text=clicked(f"{finding.stream}: {finding.text}" if finding.stream else finding.text),
+        text=sentence(finding),
         means=clicked(known.means) if known else "",
         to_do=clicked(known.to_do) if known else "",
     )

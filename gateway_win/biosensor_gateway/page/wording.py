@@ -41,6 +41,18 @@ _ON_THE_PAGE = tuple(
             "export it alone, to another folder",
         ),
         (r"with `record stop` or LabRecorder's \*Stop\*", "with *Stop*"),
+        (
+            r"; start an agent with: biosensor-gateway run",
+            "; click *Start streaming* or *Find sensors* first",
+        ),
+        (
+            r"Wait for (that|them) with: .* using --allow-missing",
+            r'Wait for \1, or tick "even if streams are missing"',
+        ),
+        (r"find out why with: biosensor-gateway doctor", "find out why by *Check this computer*"),
+        (r"; start with: biosensor-gateway record start", "; click *Record*"),
+        (r"; record stop --file checks it again", "; check it under *Recordings* later"),
+        (r"Check it with: biosensor-gateway xdf check\.", "Check it under *Recordings*."),
         (r"`doctor` command", "computer check (`doctor`)"),
     )
 )

@@ -32,6 +32,7 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import (
@@ -311,7 +312,7 @@ def _view(ended: LocalStopped) -> VerdictView:
     findings = [*verdict.findings, *_told(Level.WARNING, *ended.warnings)]
     return VerdictView(
         colour=str(verdict.colour.value),
-        sentence=verdict.sentence,
+        sentence=clicked(verdict.sentence),
         file=verdict.file,
         findings=list(map(sentence, findings)),
         explained=all_explained(findings),
@@ -325,7 +326,7 @@ def _unclosed(file: str, error: NotClosedError) -> VerdictView:
     findings = [*_told(Level.ERROR, error.why), *(verdict.findings if verdict else ())]
     return VerdictView(
         colour=str(Colour.RED.value),
-        sentence=verdict.sentence if verdict else "none of it can be read",
+        sentence=clicked(verdict.sentence) if verdict else "none of it can be read",
         file=verdict.file if verdict else file,
         findings=list(map(sentence, findings)),
         explained=all_explained(findings),

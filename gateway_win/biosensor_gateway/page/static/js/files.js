@@ -4,7 +4,7 @@ import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
 import { Explained } from "./findings.js";
 import { COLOURS } from "./recording.js";
-import { clock } from "./words.js";
+import { clock, worded } from "./words.js";
 
 const LOOK_MS = 500;
 const OTHER = "other";
@@ -51,13 +51,13 @@ function Exported({ view, onEnd }) {
       ${view.count > 1 && html`<button onClick=${onEnd}>End after this recording</button>`}`}
     ${!view.is_running && view.count > 0 && html`
       <p class=${`state ${tone}`} role="status"><span aria-hidden="true">${sign}</span> ${word}</p>`}
-    ${view.problem && html`<p class="reason" role="alert">${view.problem}</p>`}
-    ${view.said.map((each) => html`<p class="reason small">${each}</p>`)}
+    ${view.problem && html`<p class="reason" role="alert">${worded(view.problem)}</p>`}
+    ${view.said.map((each) => html`<p class="reason small">${worded(each)}</p>`)}
     ${view.done.map((each) => {
       const [mark, shade] = outcome(each.is_certain, each.is_written);
       return html`
         <details key=${each.recording} open=${!each.is_certain || view.count === 1}><summary><span class=${`state ${shade}`}>${mark}</span> ${each.recording}</summary>
-          <ul class="small">${each.said.map((said) => html`<li class="file">${said}</li>`)}</ul></details>`;
+          <ul class="small">${each.said.map((said) => html`<li class="file">${worded(said)}</li>`)}</ul></details>`;
     })}`;
 }
 
@@ -112,7 +112,7 @@ function Export({ path, isFile }) {
       </label>
       <button class="main" disabled=${!path || !chosen.size || view?.is_running}>${view?.is_running ? "Exporting …" : "Export"}</button>
     </form>
-    ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
+    ${problem && html`<p class="reason small" role="alert">${worded(problem)}</p>`}
     ${view && html`<${Exported} view=${view} onEnd=${() => tell("DELETE")} />`}`;
 }
 
@@ -162,9 +162,9 @@ export function Files({ act, onClose }) {
           ${judged?.can_be_salvaged && !salvaged && html`<button disabled=${doing !== ""} onClick=${() => look("salvage", setSalvaged, { header_from: headerFrom.trim() })}>${doing === "salvage" ? "Salvaging …" : "Salvage it"}</button>`}
         </div>`}
       ${judged?.can_be_salvaged && !salvaged && html`<label class="wide">Headers from (the full path of another recording of the same streams, if headers are lost)<input type="text" size="48" placeholder="not needed otherwise" disabled=${doing !== ""} value=${headerFrom} onInput=${(event) => setHeaderFrom(event.target.value)} /></label>`}
-      ${problem && html`<p class="reason small" role="alert">${problem}</p>`}
+      ${problem && html`<p class="reason small" role="alert">${worded(problem)}</p>`}
       ${judged && html`<${Judged} judged=${judged} />`}
-      ${salvaged && html`<ul class="small" role="status">${salvaged.said.map((each) => html`<li class="file">${each}</li>`)}</ul>`}
+      ${salvaged && html`<ul class="small" role="status">${salvaged.said.map((each) => html`<li class="file">${worded(each)}</li>`)}</ul>`}
       <${Export} path=${path} isFile=${/\.xdf(z|\.gz)?$/i.test(path)} />
     </section>`;
 }

@@ -1,6 +1,7 @@
 // What was found, of a computer or in a recording: how bad it is, why it matters and what to do.
 
 import { html } from "../vendor/preact-htm.js";
+import { worded } from "./words.js";
 
 const LEVELS = {
   error: ["▲", "bad", "error"],
@@ -20,20 +21,12 @@ export function Explained({ findings }) {
   });
 }
 
-// What is typed or pressed stands out; the same sentences are in the documents.
-function worded(text) {
-  return text.split(/(`[^`]+`|\*[^*]+\*)/).map((part) => {
-    if (part.startsWith("`")) return html`<code>${part.slice(1, -1)}</code>`;
-    return part.startsWith("*") ? html`<em>${part.slice(1, -1)}</em>` : part;
-  });
-}
-
 function InARecording({ finding }) {
   const [sign, tone, word] = IN_A_RECORDING[finding.level] ?? IN_A_RECORDING.error;
   return html`
     <li>
-      <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${finding.text}
-      ${finding.consequences?.length > 0 && html`<details class="small"><summary>Because of that (${finding.consequences.length})</summary><ul>${finding.consequences.map((each) => html`<li>${each}</li>`)}</ul></details>`}
+      <span class=${`state ${tone}`}><span aria-hidden="true">${sign}</span> ${word}:</span> ${worded(finding.text)}
+      ${finding.consequences?.length > 0 && html`<details class="small"><summary>Because of that (${finding.consequences.length})</summary><ul>${finding.consequences.map((each) => html`<li>${worded(each)}</li>`)}</ul></details>`}
       ${finding.means && html`<details class="small"><summary>What it means, and what to do</summary><p>${worded(finding.means)}</p><p>${worded(finding.to_do)}</p></details>`}
     </li>`;
 }

@@ -5,7 +5,7 @@ import { Explained } from "./findings.js";
 import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
 import { Alarm } from "./title.js";
-import { clock, listed } from "./words.js";
+import { clock, listed, worded } from "./words.js";
 
 // A sign, a tone, a sentence, and the same for a narrow place.
 export const COLOURS = {
@@ -29,8 +29,8 @@ function Progress({ recording, children }) {
       ${children}
     </div>
     <p class="small soft file">${recording.file}</p>
-    ${recording.problems.length > 0 && html`<ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>`}
-    ${recording.notes.length > 0 && html`<ul class="notes" aria-label="Other problems">${recording.notes.map((each) => html`<li>${each}</li>`)}</ul>`}
+    ${recording.problems.length > 0 && html`<ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${worded(each)}</li>`)}</ul>`}
+    ${recording.notes.length > 0 && html`<ul class="notes" aria-label="Other problems">${recording.notes.map((each) => html`<li>${worded(each)}</li>`)}</ul>`}
     ${recording.remarks.map((each) => html`<p class="small soft file">${each}</p>`)}`;
 }
 
@@ -68,7 +68,7 @@ function Verdict({ verdict, act }) {
   const [sign, tone] = COLOURS[verdict.colour] ?? COLOURS.red;
   return html`
     <div class="verdict">
-      <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${verdict.sentence}</p>
+      <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${worded(verdict.sentence)}</p>
       <p class="small soft file">${verdict.file}</p>
       <${Salvage} verdict=${verdict} act=${act} />
       ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.explained.length})</summary><div class="explained" tabindex="0"><${Explained} findings=${verdict.explained} /></div></details>`}
@@ -133,7 +133,7 @@ export function Session({ status, act }) {
       <div class="card-head"><h2 id="session">Recording</h2><${Alarm} /></div>
       ${recording.is_running ? html`<${Running} recording=${recording} act=${act} />` : html`
         ${recording.file && !recording.verdict && html`
-          <ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>
+          <ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${worded(each)}</li>`)}</ul>
           <button onClick=${() => act("POST", "/recording/stop")}>Close and check it</button>`}
         <${Begin} status=${status} act=${act} />`}
       ${!recording.is_running && recording.verdict && html`<${Verdict} verdict=${recording.verdict} act=${act} />`}

@@ -1,6 +1,7 @@
 // What came of something, for some seconds; never where a person is about to press.
 
 import { html, useLayoutEffect, useRef, useState } from "../vendor/preact-htm.js";
+import { worded } from "./words.js";
 
 const EDGES = ["bottom", "top"];
 const AGAIN_ON = ["scroll", "resize"];
@@ -28,5 +29,5 @@ export function Toast({ told, onClose }) {
     for (const each of AGAIN_ON) addEventListener(each, settle);
     return () => { for (const each of AGAIN_ON) removeEventListener(each, settle); };
   }, [told]);
-  return html`<p class="toast" ref=${place} data-edge=${edge}>${told.text} ${told.isProblem && html`<button onClick=${onClose}>Close</button>`}</p>`;
+  return html`<p class="toast" ref=${place} data-edge=${edge}>${worded(told.text)} ${told.isProblem && html`<button onClick=${onClose}>Close</button>`}</p>`;
 }

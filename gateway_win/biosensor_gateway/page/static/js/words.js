@@ -1,5 +1,7 @@
 // Puts states and figures into words. Each state has a sign of its own: colour alone says nothing.
 
+import { html } from "../vendor/preact-htm.js";
+
 const STATES = {
   streaming: ["●", "good", "streaming"],
   partly: ["◐", "warn", "streaming, but some data was changed or dropped"],
@@ -80,4 +82,12 @@ export function ageOf(stream) {
 export function valueOf(stream) {
   if (!stream.channels.length || !stream.is_fresh || !stream.values.length) return "–";
   return figure(stream.values[0], stream.units[0]);
+}
+
+// What is typed or pressed stands out; the same sentences are in the documents.
+export function worded(text) {
+  return text.split(/(`[^`]+`|\*[A-Z][^*]*\*)/).map((part) => {
+    if (part.startsWith("`")) return html`<code>${part.slice(1, -1)}</code>`;
+    return /^\*[A-Z]/.test(part) ? html`<em>${part.slice(1, -1)}</em>` : part;
+  });
 }
