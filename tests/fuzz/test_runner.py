@@ -67,17 +67,3 @@ def test_a_hang_is_a_find_and_its_input_is_kept(
     assert outcome.reason.startswith("it hangs")
     assert outcome.find is not None
     assert outcome.find.read_bytes() == hanging.HARMFUL
-
-
-@pytest.mark.nightly
-def test_sound_code_passes_and_figures_are_told(tmp_path: Path) -> None:
-    done = run("--seconds=2", f"--finds={tmp_path}", "ble_heart_rate", "polar_control")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.endswith("2 passed, 0 failed\n")
-    assert not list(tmp_path.glob("*/crash-*"))
-
-
-def test_an_unknown_target_is_refused_with_those_there_are(tmp_path: Path) -> None:
-    done = run(f"--finds={tmp_path}", "zephir")
-    assert done.returncode == 2
-    assert "no target zephir; there are" in done.stderr

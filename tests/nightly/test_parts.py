@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
 import subprocess
 import sys
 import tomllib
@@ -12,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.nightly.__main__ import INTERRUPTED, main
+from tests.nightly.__main__ import main
 from tests.nightly.parts import ROOT, read_parts
-from tests.nightly.runner import run_command
 from tests.time_spent.plugin import ORDER
 
 PARTS = read_parts()
@@ -154,29 +151,6 @@ def test_a_part_runs_once_for_a_commit_and_a_failed_one_stops_no_other(
 
 @pytest.mark.nightly
 @by_signals
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interruption_leaves_the_parts_that_have_ended(
-    project: Path, number: signal.Signals
-) -> None:
-    (project / "end").unlink()
-    os.mkfifo(project / "waits")
-    code = (
-        "import sys; from pathlib import Path; from tests.nightly.__main__ import main; "
-        f"sys.exit(main([], Path({str(project)!r})))"
-    )
-    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) as run:
-        (project / "waits").read_text()
-        run.send_signal(number)
-        assert run.wait(60) == INTERRUPTED
-    assert "1 failed, 1 not run, 1 skipped, 1 passed. " in page(project)
-    (project / "end").touch()
-    assert main([], project) == 1
-    assert "1 failed, 1 skipped, 2 passed. " in page(project)
-    assert (len(lines(project / "runs")), len(lines(project / "seeds"))) == (1, 1)
-
-
-@pytest.mark.nightly
-@by_signals
 def test_tests_are_run_and_a_part_without_any_fails(project: Path) -> None:
     """By the project's own options, so in a folder of its own tests."""
     table = (
@@ -196,18 +170,3 @@ def test_tests_are_run_and_a_part_without_any_fails(project: Path) -> None:
     (project / "tests" / "test_it.py").write_text("def test_it():\n    pass\n")
     assert main([], project) == 1
     assert "    No test belongs to this part.\n" in page(project)
-
-
-@pytest.mark.nightly
-@by_signals
-def test_a_part_of_another_environment_gets_no_libraries_of_this_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own, other = str(Path(sys.prefix) / "lib"), str(tmp_path)
-    monkeypatch.setenv("LD_LIBRARY_PATH", os.pathsep.join([own, other]))
-    monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
-    code, said = run_command(["env"], tmp_path / "log", tmp_path)
-    variables = dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
-    assert code == 0
-    assert variables["LD_LIBRARY_PATH"] == other
-    assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in variables

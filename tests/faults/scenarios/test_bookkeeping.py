@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tests.faults.matching import UnknownSampleError, match
 from tests.faults.recorder import Recorded
-from tests.faults.scenarios.figures import NAME, FigureTable, Properties, recorder
 from tests.faults.scenarios.ledger import CounterLedger, TruthLedger
 from tests.rigs.lab_client import Samples
 
@@ -91,28 +87,3 @@ def test_samples_wait_for_the_report_that_counts_them() -> None:
     assert ledger.difference == 0
     ledger.settle(came(15, 17), 7 + 3 + 4, TIMES[17])
     assert ledger.difference == -1
-
-
-def test_the_table_has_what_was_recorded_last(tmp_path: Path) -> None:
-    properties: Properties = [("another", "property")]
-    record = recorder(properties)
-    record("disk full", "lost", "0", "3")
-    record("steady", "lost", "0", "0")
-    record("disk full", "said", "<= 2 s", "a|b\n1 s")
-    record("disk full", "lost", "0", "1")
-    table = FigureTable()
-    assert not table
-    table.collect(properties)
-    table.write(tmp_path)
-    lines = (tmp_path / f"{NAME}.md").read_text().splitlines()
-    assert [" ".join(line.split()) for line in lines[2:]] == [
-        "| disk full | lost | 0 | 1 |",
-        "| disk full | said | <= 2 s | a\\|b 1 s |",
-        "| steady | lost | 0 | 0 |",
-    ]
-    written = json.loads((tmp_path / f"{NAME}.json").read_text())
-    assert [(each["fault"], each["measured"]) for each in written] == [
-        ("disk full", "1"),
-        ("disk full", "a|b\n1 s"),
-        ("steady", "0"),
-    ]
