@@ -150,15 +150,14 @@ def test_what_is_no_number_is_not_sent_and_its_bytes_are_counted(
     assert sender.sink.dropped_bytes == len(text)
 
 
-@pytest.mark.parametrize("interval_ms", [0, -800, 1e9, 20])
-def test_an_interval_that_no_heart_has_is_refused(sender: Sender, interval_ms: float) -> None:
-    sender.send(1000, ("EA", 0.5), ("BI", interval_ms))
-    assert sum(each.count(Refusal.IMPLAUSIBLE) for each in sender.sink.refused.values()) == 1
-
-
-@pytest.mark.parametrize("rate", [0, -1, 400])
-def test_a_rate_that_no_heart_has_is_refused(sender: Sender, rate: float) -> None:
-    sender.send(1000, ("EA", 0.5), ("HR", rate))
+@pytest.mark.parametrize(
+    ("tag", "value"),
+    [*itertools.product(["BI"], [0, -800, 1e9, 20]), *itertools.product(["HR"], [0, -1, 400])],
+)
+def test_an_interval_or_a_rate_that_no_heart_has_is_refused(
+    sender: Sender, tag: str, value: float
+) -> None:
+    sender.send(1000, ("EA", 0.5), (tag, value))
     assert sum(each.count(Refusal.IMPLAUSIBLE) for each in sender.sink.refused.values()) == 1
 
 

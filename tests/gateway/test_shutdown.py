@@ -115,25 +115,17 @@ def test_nothing_is_cut_short_after_the_loop_has_closed(
 
 @pytest.mark.nightly
 @ANY_REQUEST
-def test_a_request_before_it_runs_ends_it_without_a_word(
-    start: Started, number: signal.Signals
+@pytest.mark.parametrize(
+    ("word", "story"),
+    [("early", ["starting"]), ("behind", ["running", "behind", *WHOLE_STORY[1:]])],
+)
+def test_a_request_before_it_runs_or_while_the_loop_is_behind_is_not_lost(
+    start: Started, number: signal.Signals, word: str, story: list[str]
 ) -> None:
-    process = start(word="early", first="starting")
+    process = start(word=word, first="starting" if word == "early" else word)
     process.send_signal(number)
     assert process.wait(DEADLINE_S) == 0
-    assert start.story == ["starting"]
-    assert start.said == ""
-
-
-@pytest.mark.nightly
-@ANY_REQUEST
-def test_a_request_is_not_lost_where_the_loop_is_behind(
-    start: Started, number: signal.Signals
-) -> None:
-    process = start(word="behind", first="behind")
-    process.send_signal(number)
-    assert process.wait(DEADLINE_S) == 0
-    assert start.story == ["running", "behind", *WHOLE_STORY[1:]]
+    assert start.story == story
     assert start.said == ""
 
 

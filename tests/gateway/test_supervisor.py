@@ -154,10 +154,17 @@ async def test_a_device_that_is_there_streams(start: Start) -> None:
 
 @pytest.mark.usefixtures("hasty")
 @pytest.mark.parametrize(
-    "reason", [TransportReason.ABSENT, TransportReason.LOST, TransportReason.SILENT]
+    "error",
+    [
+        TransportError(TransportReason.ABSENT, "nobody there"),
+        TransportError(TransportReason.LOST, "nobody there"),
+        TransportError(TransportReason.SILENT, "nobody there"),
+        asyncio.CancelledError(),
+    ],
+    ids=["absent", "lost", "silent", "cancels itself"],
 )
-async def test_what_is_absent_is_probed(start: Start, reason: TransportReason) -> None:
-    rig = start(ScriptedDriver(connect=failing(TransportError(reason, "nobody there"))))
+async def test_what_is_absent_is_probed(start: Start, error: BaseException) -> None:
+    rig = start(ScriptedDriver(connect=failing(error)))
     await eventually(lambda: rig.supervisor.state is STREAMING)
     assert rig.states == [CONNECTING, DISCOVERING, CONNECTING, STREAMING]
     assert rig.supervisor.connections == 1
@@ -222,13 +229,6 @@ async def test_a_driver_that_just_stops_is_started_again(start: Start) -> None:
     rig = start(ScriptedDriver(stream=at_once))
     await eventually(lambda: rig.supervisor.connections == 2)
     assert rig.states[:3] == [CONNECTING, STREAMING, DISCOVERING]
-
-
-@pytest.mark.usefixtures("hasty")
-async def test_a_driver_that_cancels_itself_while_connecting_is_tried_again(start: Start) -> None:
-    rig = start(ScriptedDriver(connect=failing(asyncio.CancelledError())))
-    await eventually(lambda: rig.supervisor.state is STREAMING)
-    assert rig.states == [CONNECTING, DISCOVERING, CONNECTING, STREAMING]
 
 
 @pytest.mark.usefixtures("hasty")

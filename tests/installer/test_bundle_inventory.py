@@ -296,25 +296,24 @@ def test_the_program_names_its_scripts_and_modules(tmp_path: Path) -> None:
     assert archive.modules == ("a", "a.b")
 
 
-@pytest.mark.parametrize("left", [0, 40, -10, -88])
-def test_a_program_that_is_cut_off_is_refused(tmp_path: Path, left: int) -> None:
+FROZEN = frozen_program(["frozen"], ["a"])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        *((FROZEN[:left], r"biosensor-gateway\.exe is no program frozen")
+          for left in (0, 40, -10, -88)),
+        (FROZEN[100:], "cut off"),
+        (frozen_program(["frozen"], ["a"], data="hidden.bin"), r"hidden\.bin"),
+    ],
+)  # fmt: skip
+def test_a_program_that_is_cut_off_or_has_files_packed_into_it_is_refused(
+    tmp_path: Path, content: bytes, said: str
+) -> None:
     program = tmp_path / PROGRAM
-    program.write_bytes(frozen_program(["frozen"], ["a"])[:left])
-    with pytest.raises(ArchiveError, match=r"biosensor-gateway\.exe is no program frozen"):
-        read_archive(program)
-
-
-def test_a_program_whose_front_is_missing_is_refused(tmp_path: Path) -> None:
-    program = tmp_path / PROGRAM
-    program.write_bytes(frozen_program(["frozen"], ["a"])[100:])
-    with pytest.raises(ArchiveError, match="cut off"):
-        read_archive(program)
-
-
-def test_a_program_with_files_packed_into_it_is_refused(tmp_path: Path) -> None:
-    program = tmp_path / PROGRAM
-    program.write_bytes(frozen_program(["frozen"], ["a"], data="hidden.bin"))
-    with pytest.raises(ArchiveError, match=r"hidden\.bin"):
+    program.write_bytes(content)
+    with pytest.raises(ArchiveError, match=said):
         read_archive(program)
 
 

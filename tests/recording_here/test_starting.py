@@ -107,18 +107,23 @@ def ended(folder: Path, *without: str) -> Verdict:
     return LocalRecorder(folder).stop().verdict
 
 
-def test_it_is_amber_with_a_sentence(tmp_path: Path) -> None:
-    verdict = ended(tmp_path, "P01@polar_h10-hr", "P01@polar_h10-ecg")
-    texts = [each.text for each in verdict.findings if each.code == "away"]
-    assert texts == [f"{AWAY}was left out on purpose: it is not in the recording"]
-    assert verdict.colour is Colour.AMBER
-
-
-def test_without_a_word_of_a_person_it_is_red(tmp_path: Path) -> None:
-    verdict = ended(tmp_path, "P01@zephyr-hr")
-    texts = [each.text for each in verdict.findings if each.code == "away"]
-    assert texts == [f"{AWAY}none of its data was recorded"]
-    assert verdict.colour is Colour.RED
+@pytest.mark.parametrize(
+    ("without", "said", "colour"),
+    [
+        (
+            ("P01@polar_h10-hr", "P01@polar_h10-ecg"),
+            "was left out on purpose: it is not in the recording",
+            Colour.AMBER,
+        ),
+        (("P01@zephyr-hr",), "none of its data was recorded", Colour.RED),
+    ],
+)
+def test_it_is_amber_with_a_sentence_and_red_without_a_word_of_a_person(
+    tmp_path: Path, without: tuple[str, ...], said: str, colour: Colour
+) -> None:
+    verdict = ended(tmp_path, *without)
+    assert [each.text for each in verdict.findings if each.code == "away"] == [f"{AWAY}{said}"]
+    assert verdict.colour is colour
 
 
 # What is said of a recording whose sensors are paused or away.
@@ -181,16 +186,10 @@ def test_who_was_away_before_it_began_is_amber(running: Running) -> None:
     assert (level, code) == (Level.WARNING, "away")
 
 
-def test_who_is_lost_while_the_streams_are_being_opened_is_red(running: Running) -> None:
-    """Nobody was asked: it was there when *Record* was clicked."""
-    away = device("one-id", state="connecting", since=STARTED - 5)
-    found = running.findings([away, device("two-id")])
-    # One statement, and not another for each of its streams.
-    assert [each[:2] for each in found] == [(Level.ERROR, "away")]
-
-
-def test_who_is_lost_meanwhile_is_red(running: Running) -> None:
-    away = device("one-id", state="connecting", since=STARTED + 5)
+# Before: while the streams are being opened. It was there when *Record* was clicked.
+@pytest.mark.parametrize("later_s", [-5, 5])
+def test_who_is_lost_without_being_asked_about_is_red(running: Running, later_s: float) -> None:
+    away = device("one-id", state="connecting", since=STARTED + later_s)
     found = running.findings([away, device("two-id")])
     # One statement, and not another for each of its streams.
     assert [each[:2] for each in found] == [(Level.ERROR, "away")]
