@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import playwright.sync_api as browser
+import psutil
 import pytest
 from playwright.sync_api import expect
 
@@ -228,3 +229,32 @@ def test_what_is_renamed_or_removed_meanwhile_is_asked_about_and_red(study: Stud
     assert first.startswith("zephyr/A of P01 was removed or renamed in the settings at ")
     assert second.startswith("zephyr/B of P01 was removed or renamed in the settings at ")
     assert "the agent also had P02@zephyr.chest, of which" in third
+
+
+def test_a_recording_that_another_program_ends_has_a_verdict_of_its_own(
+    study: Study, tmp_path: Path
+) -> None:
+    def shown(key: str) -> Any:
+        deadline = time.monotonic() + DEADLINE_S
+        while not (found := study.status()["recording"][key]):
+            assert time.monotonic() < deadline, study.status()["recording"]
+            time.sleep(0.2)
+        return found
+
+    assert study.start("P01", set_sensors=True) == 200
+    first = study.stop()
+    assert study.start("P01") == 200
+    assert study.status()["recording"]["verdict"] is None
+    code, said = study.command("record", "stop")
+    assert code in {0, 1}, said
+    second = shown("verdict")
+    assert second["file"] != first["file"]
+    assert second["file"] in said
+    assert study.start("P01") == 200
+    saved = RecorderFolder(tmp_path).saved()
+    assert saved is not None
+    psutil.Process(saved.program).kill()
+    (problem,) = shown("problems")
+    assert "ended" in problem
+    assert study.status()["recording"]["verdict"] is None, "that of another file"
+    assert study.stop()["file"] == saved.file

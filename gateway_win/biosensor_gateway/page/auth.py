@@ -27,8 +27,8 @@ MAX_SOCKETS = 32
 MAX_EXPERIMENT_BODY = 4096
 MAX_EXPERIMENT_SOCKETS = 16
 OPENS_ONCE = (
-    "This address opens once. Open the page again from the program: biosensor-gateway page, or "
-    "the entry of the Start menu."
+    "This address opens once. Open the page again: on Windows by Biosensor Gateway in the Start "
+    "menu, elsewhere by the command biosensor-gateway page."
 )
 REFUSED_SOCKET = 1008
 """Code with which a refused WebSocket is closed."""

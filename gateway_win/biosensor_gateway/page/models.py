@@ -452,7 +452,8 @@ class RecordingView(BaseModel):
     remarks
         Other information, about which nothing is wrong.
     verdict
-        Of the last recording that was ended on this page.
+        Of the last recording, once it was ended on this page or, while the page looked on, by
+        another program; None while one runs.
     """
 
     is_running: bool = False

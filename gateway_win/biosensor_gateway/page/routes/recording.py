@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Awaitable, Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -39,16 +39,16 @@ from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     LocalStarted,
     LocalStatus,
-    LocalStopped,
     NotClosedError,
     RecordingRequest,
     SensorsAwayError,
     VisibleStream,
 )
 from biosensor_gateway.recording.recorder.streams import Presence, look, titles
+from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
-from biosensor_gateway.recording.xdf.verdict import Colour
+from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.places import usual_recordings_folder, warnings_of
 
 
@@ -186,7 +186,8 @@ class Recorder:
         file = self._recording.file
         with self._doing("ending"):
             try:
-                self._verdict = _view(await asyncio.to_thread(self._recording.stop))
+                ended = await asyncio.to_thread(self._recording.stop)
+                self._verdict = _view(ended.verdict, ended.warnings)
             except NotClosedError as error:
                 self._verdict = _unclosed(str(file), error)
         await self._show()
@@ -276,13 +277,17 @@ class Recorder:
     def _look(self) -> RecordingView:
         devices = self._session.device_facts()
         standing = self._recording.status(devices, self._session.agent_started_s)
-        view = RecordingView(folder=str(self._folder), verdict=self._verdict)
+        view = RecordingView(folder=str(self._folder))
         if standing is None:
-            return view
+            return view.model_copy(update={"verdict": self._last_verdict()})
         if not self._story.is_of(standing):
             self._story = Story()
         if standing.recording:
             self._story.look(devices or (), standing)
+        # Another program has asked for its end, and checks it.
+        is_ending = not standing.recording and all(
+            each.code != "ended" for each in standing.problems
+        )
         sight = standing.sight
         events = [
             (head.level, "; ".join(map(sentence, [head, *consequences])))
@@ -293,7 +298,8 @@ class Recorder:
         notes += self._story.notes
         return view.model_copy(
             update={
-                "is_running": standing.recording,
+                "is_running": standing.recording or is_ending,
+                "busy": "ending" if is_ending else "",
                 "file": str(standing.file),
                 "started": standing.started,
                 "elapsed_s": max(0.0, time.time() - standing.started),
@@ -306,10 +312,17 @@ class Recorder:
             }
         )
 
+    def _last_verdict(self) -> VerdictView | None:
+        """Return the verdict on the last recording, which another program may have stopped."""
+        with suppress(RecordingError):
+            verdict = self._recording.stopped_elsewhere()
+            if verdict is not None and not self._busy:
+                self._verdict = _view(verdict)
+        return self._verdict
 
-def _view(ended: LocalStopped) -> VerdictView:
-    verdict = ended.verdict
-    findings = [*verdict.findings, *_told(Level.WARNING, *ended.warnings)]
+
+def _view(verdict: Verdict, warnings: Iterable[str] = ()) -> VerdictView:
+    findings = [*verdict.findings, *_told(Level.WARNING, *warnings)]
     return VerdictView(
         colour=str(verdict.colour.value),
         sentence=clicked(verdict.sentence),

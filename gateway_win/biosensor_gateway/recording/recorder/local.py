@@ -66,7 +66,7 @@ from biosensor_gateway.recording.recorder.streams import (
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import read_recording
-from biosensor_gateway.recording.xdf.verdict import ExpectedStream, check
+from biosensor_gateway.recording.xdf.verdict import ExpectedStream, Verdict, check
 from biosensor_gateway.settings.places import warnings_of
 from biosensor_gateway.system import state_file
 
@@ -101,6 +101,7 @@ class LocalRecorder:
         self._state = state.absolute()
         self._folder = RecorderFolder(self._state)
         self._growth: tuple[Path, float, Growth] | None = None
+        self._seen: SavedRecording | None = None
 
     @property
     def is_running(self) -> bool:
@@ -194,6 +195,7 @@ class LocalRecorder:
         is_running, saved = self._folder.is_running, self._folder.saved()
         if saved is None:
             return None
+        self._seen = saved
         growth = self._growth_of(Path(saved.file), saved.started)
         problem = "" if is_running else saved.problem or self._why_it_ended(saved.ended)
         findings = [Finding(Level.ERROR, "ended", "", problem)] if problem else []
@@ -229,6 +231,25 @@ class LocalRecorder:
             problems=tuple(findings),
         )
 
+    def stopped_elsewhere(self) -> Verdict | None:
+        """Check, once, the recording of the last `status` that another process has stopped since.
+
+        Raises
+        ------
+        RecordingError
+            If its file cannot be read, as after it was discarded.
+        """
+        seen = self._seen
+        if seen is None or self._folder.saved() is not None:
+            return None
+        self._seen = None
+        return self._check(seen)
+
+    def _check(self, saved: SavedRecording) -> Verdict:
+        expected = [ExpectedStream(each, each) for each in saved.required]
+        notes = ProgramOutput(self._folder.printed()).notes
+        return check(Path(saved.file), expected, saved.without, notes)
+
     def stop(self) -> LocalStopped:
         """Stop the recording, wait until its file is closed, and check it; takes some seconds.
 
@@ -248,8 +269,7 @@ class LocalRecorder:
             _wait_for_program(saved)
         seen = wait_until_closed(file, _STILL_S, _CLOSING_S)
         self._folder.forget()
-        output = ProgramOutput(self._folder.printed())
-        expected = [ExpectedStream(each, each) for each in saved.required]
+        self._seen = None
         if seen is None:
             message = (
                 f"{file} is still growing, although its recorder has ended; record stop --file "
@@ -259,11 +279,11 @@ class LocalRecorder:
         if not seen.is_closed:
             verdict = None
             with contextlib.suppress(RecordingError):
-                verdict = check(file, expected, saved.without, output.notes)
+                verdict = self._check(saved)
             why = _why_not_closed(saved, seen)
             message = (
                 f"{file}: {why}. Check it with: biosensor-gateway xdf check. The last output of "
-                f"{saved.recorder}: {output.end}"
+                f"{saved.recorder}: {ProgramOutput(self._folder.printed()).end}"
             )
             raise NotClosedError(message, why, verdict)
         took_s = time.monotonic() - begun
@@ -275,7 +295,7 @@ class LocalRecorder:
             streams=len(seen.streams),
             with_samples=len(seen.with_samples),
             took_s=took_s,
-            verdict=check(file, expected, saved.without, output.notes),
+            verdict=self._check(saved),
             warnings=tuple(_warnings(saved)),
         )
 

@@ -49,7 +49,7 @@ export function Ended({ told }) {
       <section class="panel notice" role="status">
         <h1>The page has ended</h1>
         ${last?.text && html`<p class="file">${last.text}</p>`}
-        <p>You can close this window. To open the page again: <i>Biosensor Gateway</i> in the Start menu, or <code>biosensor-gateway page</code>.</p>
+        <p>You can close this window. To open the page again: on Windows <i>Biosensor Gateway</i> in the Start menu, elsewhere the command <code>biosensor-gateway page</code>.</p>
       </section>
     </main>`;
 }
