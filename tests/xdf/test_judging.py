@@ -357,10 +357,14 @@ def test_channels_without_values() -> None:
     [
         ("RespirationRate", 30, Level.NOTE),
         ("RespirationRate", 60, Level.WARNING),
+        ("Quality", 30, Level.NOTE),
+        ("Quality", 60, Level.WARNING),
         ("HeartRate", 30, Level.WARNING),
     ],
 )
-def test_a_rate_of_breathing_takes_several_breaths(kind: str, length_s: int, level: Level) -> None:
+def test_what_needs_several_breaths_or_beats_takes_time(
+    kind: str, length_s: int, level: Level
+) -> None:
     count = int(length_s * RATE)
     report = check(
         x.xdf(

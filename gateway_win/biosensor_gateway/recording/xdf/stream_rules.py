@@ -34,8 +34,10 @@ LATE_S = 5.0
 NAN_SHARE_TO_NOTE = 0.05
 # The agent reports once a second. Streams without a device clock are up to a second late anyway.
 HELD_UP_S = 2.0
-# Sensors count several breaths before they tell how often somebody breathes.
-_FIRST_BREATHS_S = 45.0
+# Sensors count several breaths before they tell how often somebody breathes, and optical ones look
+# at beats for 25 s before they tell those and whether the wearer moves.
+_FIRST_S = 45.0
+_FIRST_TAKES_LONG = frozenset({ContentType.RESPIRATION_RATE, ContentType.QUALITY})
 _QUALIFIES = frozenset({Unit.BOOLEAN.value, Unit.FRACTION.value})
 # Shorter gaps are smoothed as jitter by default in pyxdf and in the loader for MATLAB.
 _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
@@ -356,13 +358,9 @@ def _values(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     if empty and window_s is not None and extent.length_s < window_s:
         text = f"no value yet in {labels}: they look back over up to {window_s:g} s"
         yield Level.NOTE, "no-values", text
-    elif (
-        empty
-        and header.content_type == ContentType.RESPIRATION_RATE
-        and extent.length_s < _FIRST_BREATHS_S
-    ):
+    elif empty and header.content_type in _FIRST_TAKES_LONG and extent.length_s < _FIRST_S:
         text = (
-            f"no value yet in {labels}: sensors need several breaths, up to {_FIRST_BREATHS_S:g} s"
+            f"no value yet in {labels}: sensors need several breaths or beats, up to {_FIRST_S:g} s"
         )
         yield Level.NOTE, "no-values", text
     elif empty:
