@@ -130,6 +130,23 @@ def test_rate(actual: float, level: Level | None) -> None:
     assert [f.level for f in report.findings if f.code == "rate"] == ([level] if level else [])
 
 
+@pytest.mark.parametrize(
+    ("relative", "level"), [(1.02, Level.NOTE), (1.05, Level.WARNING), (1.2, Level.ERROR)]
+)
+def test_a_chip_of_a_device_of_ours_counts_by_an_oscillator_of_its_own(
+    relative: float, level: Level
+) -> None:
+    rate = declaration("empatica_e4").stream("acc").rate
+    assert isinstance(rate, float | int)
+    stamps = _times(3000, rate=rate * relative)
+    content = x.xdf(
+        own_header(1, DeviceIdentity("empatica_e4", "lab"), "acc"),
+        x.samples(1, "float32", [[0.0, 0.0, 1.0]] * 3000, stamps),
+        x.offsets(1, (1005, 1010)) + x.footer(1, 3000),
+    )
+    assert [each.level for each in check(content).findings if each.code == "rate"] == [level]
+
+
 def test_stamps_that_run_backwards_or_are_no_numbers() -> None:
     stamps = _times(3000)
     stamps[700], stamps[1000], stamps[2000] = stamps[600], float("nan"), stamps[100]

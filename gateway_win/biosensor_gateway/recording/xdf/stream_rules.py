@@ -22,8 +22,10 @@ Verdict = tuple[Level, str, str]
 # The recorder takes the first offset after 5 s.
 OFFSETS_DUE_S = 6.0
 _MOST_SPANS = 3
-# Relative errors that loaders complain about, and that no oscillator explains.
+# Relative errors that loaders complain about, and that no computer's oscillator explains.
 WRONG_RATE, ODD_RATE = 0.1, 0.01
+# The chips of motion and light sensors count by oscillators of their own, which are this much off.
+_CHIP_RATE = 0.03
 MIN_SAMPLES_FOR_RATE = 20
 # If fewer samples are expected, all may fall before the start or after the end.
 FEWEST_DUE = 3
@@ -256,7 +258,8 @@ def _rate(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         return
     error = abs(rate / nominal - 1)
     if error > ODD_RATE:
-        level = Level.ERROR if error > WRONG_RATE else Level.WARNING
+        is_chip = measured.stream.header.is_ours and error <= _CHIP_RATE
+        level = Level.ERROR if error > WRONG_RATE else Level.NOTE if is_chip else Level.WARNING
         yield level, "rate", f"it runs at {rate:.4g} Hz instead of {nominal:.4g} Hz"
 
 
