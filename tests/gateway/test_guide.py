@@ -323,6 +323,18 @@ def test_it_ends_by_itself_having_recorded_and_made_tables(tmp_path: Path) -> No
     assert not (tmp_path / "home").exists()
 
 
+# Alone: on a busy computer reports are late, and that is rightly amber.
+@pytest.mark.nightly
+@pytest.mark.alone
+def test_a_recording_of_all_virtual_sensors_is_green(tmp_path: Path) -> None:
+    process = _start(tmp_path, "--all", "--seconds", "12", "--folder", "kept")
+    said, _ = process.communicate(timeout=170)
+    (recording,) = (tmp_path / "kept").glob("*.xdf")
+    verdict = check(recording)
+    assert verdict.colour is Colour.GREEN, [each.text for each in verdict.findings]
+    assert process.returncode in (0, 3), said
+
+
 def _remaining(session: int) -> list[str]:
     listed = subprocess.run(
         ["ps", "-o", "args=", "-s", str(session)], capture_output=True, text=True, check=False
