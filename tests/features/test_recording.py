@@ -270,7 +270,8 @@ def test_a_wrong_rate_in_a_header_costs_no_beat(tmp_path: Path, header_hz: float
     stamps: list[float] = (BEGIN_S + np.arange(len(signal)) / 130).tolist()
     header = made.stream_header(1, "amp", kind="ECG", rate=header_hz, desc=_described("mV"))
     rows = signal[:, np.newaxis].tolist()
-    path.write_bytes(made.xdf(header, made.samples(1, "float32", rows, stamps)))
+    samples = made.samples(1, "float32", rows, stamps)
+    path.write_bytes(made.xdf(header, samples, made.footer(1, len(stamps))))
     told = json.loads(CliRunner().invoke(_COMMAND, [str(path), "--json"]).output)
     (count,) = [count for name, count in told["streams"].items() if name.endswith("-beats")]
     assert count == pytest.approx(len(beats), abs=3)

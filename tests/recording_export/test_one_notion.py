@@ -287,6 +287,7 @@ def test_features_read_each_signal_or_say_why_not(shape: str, tmp_path: Path) ->
         "a clock that began again": "step",
         "unix stamps": "unix time",
         "no rate in the header": "names no rate",
+        "no footer": "was not closed",
     }
     told = " ".join(computed.remarks)
     assert (needs[shape] in told) if shape in needs else not told, told

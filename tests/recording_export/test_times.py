@@ -342,7 +342,8 @@ def _stream(number: int, name: str, first_s: float, kind: str = "EEG") -> bytes:
     stamps = first_s + np.arange(COUNT) / 10
     header = made.stream_header(number, name, kind=kind, rate=10.0)
     values = [[float(each)] for each in range(COUNT)]
-    return header + made.samples(number, "float32", values, stamps.tolist()) + _offsets(number)
+    samples = made.samples(number, "float32", values, stamps.tolist())
+    return header + samples + _offsets(number) + made.footer(number, COUNT)
 
 
 BOTH = made.xdf(_stream(1, "lsl", BEGIN_S), _stream(2, "unix", UNIX_S))

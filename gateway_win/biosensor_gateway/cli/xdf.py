@@ -46,13 +46,20 @@ from biosensor_gateway.recording.export.outcome import (
     sentences,
 )
 from biosensor_gateway.recording.participants import Whose
+from biosensor_gateway.recording.recorder.state import is_going_on, require_ended
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.salvage import outcome as salvage_outcome
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome as Salvaged
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
-from biosensor_gateway.recording.xdf.verdict import ExpectedStream, by_devices, by_name, judge
+from biosensor_gateway.recording.xdf.verdict import (
+    ExpectedStream,
+    by_devices,
+    by_name,
+    judge,
+    while_recorded,
+)
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
 from biosensor_gateway.system.shutdown import requests_interrupt
@@ -294,6 +301,7 @@ def check(
     has_events = settings is None and tells_devices(recording)
     expected = (*(() if has_events else _by_settings(settings)), *by_name(expect or ()))
     report = judge(recording, expected)
+    report = while_recorded(report) if is_going_on(file) else report
     typer.echo(as_json(report) if print_json else as_text(report))
     if not report.is_good:
         raise typer.Exit(1)
@@ -325,6 +333,7 @@ def salvage_recording(
     The recording itself is never changed, and no file is overwritten. If the recording
     is whole, nothing is written.
     """
+    require_ended(file)
     with wrong_recording():
         outcome = salvage(file, output or salvaged_path(file), header_from)
     if print_json:

@@ -32,7 +32,7 @@ from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import (
     has_uneven_stamps,
     one_rate_each,
-    open_contents,
+    open_ended,
     with_steady_stamps,
     with_true_rates,
 )
@@ -72,10 +72,12 @@ def compute(path: Path, target: Path) -> Computed:
     ------
     FeatureError
         ``NOTHING``, ``EXISTS`` or ``UNWRITABLE``.
+    ConfigError
+        ``IN_USE`` if it is still being recorded.
     RecordingError
         If the recording cannot be read.
     """
-    with open_contents(path) as contents:
+    with open_ended(path) as contents:
         rated, remarks = with_true_rates(contents.streams)
         pairs, refused, doubled = _sources(_in_parts(one_rate_each(contents.streams), rated))
         if not any(source.features for _, source in pairs):
@@ -92,6 +94,7 @@ def compute(path: Path, target: Path) -> Computed:
         except OSError as error:
             message = cannot_write(target, error)
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
+        remarks += [contents.not_closed] if contents.not_closed else []
         read = [each for parts, _ in pairs for each in parts]
         remarks += [
             f"{each.header.title}: {each.untimed} samples are left out, because their timestamps "

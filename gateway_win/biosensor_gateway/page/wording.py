@@ -51,6 +51,7 @@ _ON_THE_PAGE = tuple(
         ),
         (r"find out why with: biosensor-gateway doctor", "find out why by *Check this computer*"),
         (r"; start with: biosensor-gateway record start", "; click *Record*"),
+        (r"; end it first: biosensor-gateway record stop", "; click *Stop recording* first"),
         (r"; record stop --file checks it again", "; check it under *Recordings* later"),
         (r"Check it with: biosensor-gateway xdf check\.", "Check it under *Recordings*."),
         (r"`doctor` command", "computer check (`doctor`)"),

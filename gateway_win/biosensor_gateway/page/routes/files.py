@@ -34,6 +34,7 @@ from biosensor_gateway.recording.export.exporting import (
 from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.participants import Whose
+from biosensor_gateway.recording.recorder.state import is_going_on, require_ended
 from biosensor_gateway.recording.xdf import verdict as judging
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.recording import read_recording
@@ -298,7 +299,8 @@ def _judged(path: Path, session: Session) -> Judged:
     recording = read_recording(path)
     # The recording's events come first: today's settings may name other devices and wearers.
     expected = () if tells_devices(recording) else by_devices(session.configured())
-    found = judging.verdict(judge(recording, expected))
+    report = judge(recording, expected)
+    found = judging.verdict(judging.while_recorded(report) if is_going_on(path) else report)
     judged = Judged(
         colour=found.colour.value,
         sentence=clicked(found.sentence),
@@ -318,6 +320,7 @@ def _judged(path: Path, session: Session) -> Judged:
 
 
 def _salvaged(path: Path, other: Path | None) -> Salvaged:
+    require_ended(path)
     outcome = salvage(path, salvaged_path(path), other)
     said = list(salvage_outcome.before_table(outcome))
     if outcome.written is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from biosensor_gateway.recording.contents.stream import IndexedStream, Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
+from biosensor_gateway.recording.recorder.state import require_ended
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.event_rules import other_agent_told
 from biosensor_gateway.recording.xdf.measuring import cuts_of, first_of, is_exact, may_have_rate
@@ -58,6 +59,17 @@ class Contents:
                 yield stream, texts, float(blocks[0].times[0] - blocks[0].stamps[0])
 
     @property
+    def not_closed(self) -> str:
+        """That the recorder did not close the file, as a sentence; empty if it did."""
+        unclosed = [each.header.title for each in self.streams if each.is_unclosed]
+        if not unclosed:
+            return ""
+        if len(unclosed) == len(self.streams):
+            return "the file was not closed, so its end may be missing"
+        more = f" and {len(unclosed) - 1} more" if len(unclosed) > 1 else ""
+        return f"{unclosed[0]}{more} was not closed, so its end may be missing"
+
+    @property
     def why_incomplete(self) -> str:
         """The unreadable parts, as the end of a sentence about missing data."""
         if not self.damages:
@@ -90,6 +102,22 @@ def open_contents(path: Path) -> Generator[Contents]:
         begun = sorter.begun or ""
         wall = find_wall_clock(streams, begun, begin_s, sorter.clock)
         yield Contents(path, begun, streams, damages, begin_s, end_s, wall)
+
+
+@contextmanager
+def open_ended(path: Path) -> Generator[Contents]:
+    """Open a recording, as `open_contents`, unless it is still being recorded.
+
+    Raises
+    ------
+    ConfigError
+        ``IN_USE`` if it is.
+    RecordingError
+        As `open_contents`.
+    """
+    require_ended(path)
+    with open_contents(path) as contents:
+        yield contents
 
 
 def extent(streams: Sequence[Stream]) -> tuple[float, float]:

@@ -226,6 +226,7 @@ class Stream:
         self.byte_count = indexed.byte_count  # Size of its samples and timestamps in the file.
         # Number of samples with a NaN or infinite timestamp; `blocks` leaves them out.
         self.untimed = indexed.untimed
+        self.is_unclosed = indexed.header.lacks(indexed.footer, indexed.sample_count)
         # Whether its header or a text is not UTF-8, so the encoding was guessed.
         self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0
 

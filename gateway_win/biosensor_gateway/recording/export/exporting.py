@@ -14,7 +14,7 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Selection, choose
-from biosensor_gateway.recording.contents.opening import Contents, open_contents, with_rates
+from biosensor_gateway.recording.contents.opening import Contents, open_ended, with_rates
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.exporter import (
     FORMATS,
@@ -81,12 +81,12 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
     Raises
     ------
     ConfigError
-        If a target exists, or the selection is not in the recording.
+        If a target exists, the selection is not in the recording, or it is still being recorded.
     RecordingError
         If the recording cannot be read, has no samples in the selection or no data for any format,
         or a target cannot be written. Targets that were complete by then stay.
     """
-    with open_contents(path) as contents:
+    with open_ended(path) as contents:
         recorded = {each.header.source_id: each.header.identity for each in contents.streams}
         participant = participant_of(path) if task.whose is Whose.NAME else ""
         for each in contents.streams if participant else ():
@@ -185,6 +185,8 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             f"not all of {', '.join(guessed[:3])}{', ...' if len(guessed) > 3 else ''} is UTF-8, "
             "so characters were guessed from Windows' encoding"
         )
+    if not_closed := chosen.contents.not_closed:
+        yield not_closed
     unmeasured = [each.header.title for each in chosen.streams if not each.clock.is_known]
     if unmeasured:
         streams = "1 stream" if len(unmeasured) == 1 else f"{len(unmeasured)} streams"

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 
 from biosensor_common import naming
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.system import state_file
 
@@ -259,6 +260,41 @@ def file_going_on(state: Path) -> Path | None:
     except OSError:
         return None
     return file if is_written else None
+
+
+def is_going_on(path: Path) -> bool:
+    """Whether a file is being recorded, by this computer's recorder or the last window."""
+    # Imported here, because `stop` asks this module, too, and needs neither.
+    from biosensor_gateway.recording.recorder.recording_file import (  # noqa: PLC0415 - see above
+        summarize,
+    )
+    from biosensor_gateway.settings.places import state_folder  # noqa: PLC0415 - see above
+
+    file = file_going_on(state_folder())
+    if file is None or (path.absolute() != file and not _is_same(path, file)):
+        return False
+    # A window that was closed by hand tells nobody.
+    return RecorderFolder(state_folder()).is_running or not summarize(file).is_closed
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except OSError:
+        return False
+
+
+def require_ended(path: Path) -> None:
+    """Check that a file is not being recorded, because what is made of it would lack the rest.
+
+    Raises
+    ------
+    ConfigError
+        ``IN_USE`` if it is.
+    """
+    if is_going_on(path):
+        message = f"{path} is still being recorded; end it first: biosensor-gateway record stop"
+        raise ConfigError(ConfigReason.IN_USE, message)
 
 
 def said_to_go_on(state: Path) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.recording.contents.opening import Contents, open_contents
+from biosensor_gateway.recording.contents.opening import Contents, open_contents, open_ended
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 
@@ -46,6 +46,8 @@ def opened(path: Path) -> Generator[Contents]:
     ------
     BagError
         If a bag cannot be read or converted.
+    ConfigError
+        ``IN_USE`` if it is still being recorded.
     RecordingError
         If the file does not exist, cannot be read or is not an XDF file.
     """
@@ -53,7 +55,7 @@ def opened(path: Path) -> Generator[Contents]:
         with _imported(path) as recording, open_contents(recording) as contents:
             yield contents
         return
-    with open_contents(path) as contents:
+    with open_ended(path) as contents:
         yield contents
 
 

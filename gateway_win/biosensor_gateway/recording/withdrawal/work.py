@@ -22,6 +22,7 @@ from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.export.bids.study import CALLED, ID, PARTICIPANTS, is_dataset
 from biosensor_gateway.recording.export.exporting import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
+from biosensor_gateway.recording.recorder.state import is_going_on
 from biosensor_gateway.recording.withdrawal import recordings
 from biosensor_gateway.recording.withdrawal.traces import (
     EDF,
@@ -179,6 +180,9 @@ class _Looking:
         return None
 
     def _of_recording(self, path: Path) -> Step | None:
+        if is_going_on(path):
+            why = "it is still being recorded: end that first with record stop, and withdraw again"
+            return Step(path, Action.LOOK, why)
         seen = recordings.look(path, self._person, self._pieces)
         if self._person.is_in(path.name):
             if seen.others:

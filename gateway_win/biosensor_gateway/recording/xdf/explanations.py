@@ -61,6 +61,11 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "programs cannot open the file.",
         "Run `xdf salvage`, and always end recordings with `record stop` or LabRecorder's *Stop*.",
     ),
+    "going-on": Explanation(
+        "The file is still being recorded",
+        "What comes later is not judged, and exports are refused until the recording has ended.",
+        "End it with `record stop`, which checks it.",
+    ),
     "no-footer": Explanation(
         "A stream was not closed",
         "Its last samples may be missing.",

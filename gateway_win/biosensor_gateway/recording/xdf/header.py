@@ -75,6 +75,10 @@ class RecordedHeader:
         """The stream's name for sentences, or ``nameless`` and its kind."""
         return self.name if self.name.strip() else f"nameless {self.content_type or 'stream'}"
 
+    def lacks(self, footer: Footer | None, sample_count: int) -> bool:
+        """Whether the recorder should have written a footer, and has not."""
+        return footer is None and (self.is_recordable or sample_count > 0)
+
     @property
     def is_ours(self) -> bool:
         """Whether the capture agent made the stream."""

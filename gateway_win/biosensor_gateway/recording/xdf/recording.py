@@ -318,7 +318,7 @@ class RecordedStream:
     @property
     def is_unclosed(self) -> bool:
         """Whether the recorder should have written a footer, and has not."""
-        return self.footer is None and (self.header.is_recordable or self.sample_count > 0)
+        return self.header.lacks(self.footer, self.sample_count)
 
     def take_samples(self, chunk: Chunk) -> None:
         """Decode the samples of a chunk and add them.

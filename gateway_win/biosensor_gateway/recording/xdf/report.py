@@ -105,6 +105,8 @@ class Report:
 
         A last sample with a timestamp far away counts as damage.
         """
+        if any(each.code == "going-on" for each in self.findings):
+            return False
         recording = self.recording
         is_open = any(each.is_unclosed for each in recording.streams)
         damages = [each for each in recording.damages if not each.is_foreign]

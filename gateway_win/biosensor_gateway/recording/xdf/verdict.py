@@ -123,6 +123,22 @@ def _has_footers(recording: Recording) -> bool:
     return any(stream.footer is not None for stream in recording.streams)
 
 
+def while_recorded(report: Report) -> Report:
+    """Return the report on a file that is still being recorded, whose end is no damage."""
+    recording = report.recording
+    cuts = {_damage_text(each, recording.size) for each in recording.damages if each.breaks_off}
+    text = "it is still being recorded: this is what is in it so far"
+    findings = [
+        Finding(Level.WARNING, "going-on", "", text),
+        *(
+            each
+            for each in report.findings
+            if each.code not in {"not-closed", "no-footer"} and each.text not in cuts
+        ),
+    ]
+    return replace(report, findings=tuple(findings))
+
+
 def _not_closed(recording: Recording) -> Iterator[Finding]:
     # LabRecorder gives no footer to the streams that it cannot record.
     due = any(each.header.is_recordable for each in recording.streams)

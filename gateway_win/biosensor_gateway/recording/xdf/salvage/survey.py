@@ -113,7 +113,7 @@ class KeptStream:
     @property
     def is_unclosed(self) -> bool:
         """Whether the recorder should have written a footer, and has not."""
-        return self.footer is None and (self.header.is_recordable or self.sample_count > 0)
+        return self.header.lacks(self.footer, self.sample_count)
 
     @property
     def has_right_footer(self) -> bool:
