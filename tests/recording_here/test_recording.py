@@ -7,6 +7,7 @@ import resource
 import socket
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import Callable
 from dataclasses import asdict
@@ -107,6 +108,35 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     with pytest.raises(RecorderError) as caught:
         recording.stop()
     assert caught.value.reason is RecorderReason.NOT_RECORDING
+
+
+@pytest.mark.parametrize("only_ours", [False, True])
+def test_a_stream_that_appears_later_is_not_in_it_which_is_said_unless_it_was_not_wanted(
+    sources: Sources, state: Path, tmp_path: Path, only_ours: bool
+) -> None:
+    recording = LocalRecorder(state)
+    recording.start(request_of(tmp_path, only_ours=only_ours), sources.presence)
+    sources.add("markers")
+    folder = RecorderFolder(state)
+    if only_ours:
+        time.sleep(12.0)  # Two looks for such streams.
+    else:
+        wait_until(lambda: codes(recording) == {"": "late-stream"}, "it is said")
+    # Their program often ends before the recording does.
+    sources.remove("markers")
+    saved = folder.saved()
+    assert saved is not None
+    assert [each.name for each in saved.late] == ([] if only_ours else ["markers"])
+    ended = recording.stop()
+    late = [each for each in ended.verdict.findings if each.code == "late-stream"]
+    assert ended.streams == 2
+    if only_ours:
+        assert late == []
+    else:
+        assert ended.verdict.colour is Colour.AMBER
+        (found,) = late
+        assert found.text.startswith("markers (")
+        assert "appeared after the recording began, and is not in it" in found.text
 
 
 def test_a_name_that_is_taken_counts_up_or_refuses(

@@ -26,7 +26,13 @@ from biosensor_gateway.features.sources import judge as judge_source
 from biosensor_gateway.features.sources import stream_info
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.xdf.counters import Reading, newest_of_each_kind, refusals
-from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
+from biosensor_gateway.recording.xdf.findings import (
+    Finding,
+    Level,
+    VisibleStream,
+    by_event,
+    late_streams,
+)
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, judge, verdict
@@ -392,6 +398,22 @@ def test_what_needs_several_breaths_or_beats_takes_time(
         )
     )
     assert [each.level for each in report.findings if each.code == "no-values"] == [level]
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ("a", ""),  # It came before the recorder searched.
+        ("ab", "b (lab) appeared after the recording began, and is not in it: start its program"),
+        ("bc", "b (lab), c (lab) appeared after the recording began, and are not in it: start"),
+        ("bcdefgh", "f (lab) and 2 more appeared after the recording began, and are not in it"),
+    ],
+)
+def test_streams_that_appear_after_the_begin_are_named(names: str, told: str) -> None:
+    late = [VisibleStream(each, f"{each}-id", "lab") for each in names]
+    found = list(late_streams(late, {("a", "a-id")}))
+    assert [told in each.text for each in found] == ([True] if told else [])
+    assert all(each.level is Level.WARNING for each in found)
 
 
 # A sensor that was paused or not connected is named in the verdict.

@@ -64,7 +64,7 @@ from biosensor_gateway.recording.recorder.streams import (
     titles,
 )
 from biosensor_gateway.recording.xdf.container import RecordingError
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.findings import Finding, Level, late_streams
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import ExpectedStream, Verdict, check
 from biosensor_gateway.settings.places import warnings_of
@@ -150,6 +150,7 @@ class LocalRecorder:
                 tuple(each.source_id for each in ours if each.source_id),
                 started=0.0,
                 without=tuple(sorted(presence.away_ids)),
+                visible=None if request.only_ours else presence.visible,
                 command=(file.name, predicate(wanted) if request.only_ours else EVERYTHING),
             )
             starter = _Starter(self._state, recording, lsl or LslOverrides(), request.growth_s)
@@ -216,6 +217,7 @@ class LocalRecorder:
             silent = growth.sources_of_agent(own_events()) if is_away else excused(devices)
             findings += growth.problems(saved.required, silent)
             findings += growth.story(own_events(), agent_started_s)
+            findings += late_streams(saved.late, {(e.name, e.source_id) for e in streams})
             findings.sort(key=lambda each: list(Level).index(each.level))
         return LocalStatus(
             by=By.GATEWAY,
@@ -248,7 +250,7 @@ class LocalRecorder:
     def _check(self, saved: SavedRecording) -> Verdict:
         expected = [ExpectedStream(each, each) for each in saved.required]
         notes = ProgramOutput(self._folder.printed()).notes
-        return check(Path(saved.file), expected, saved.without, notes)
+        return check(Path(saved.file), expected, saved.without, notes, saved.late)
 
     def stop(self) -> LocalStopped:
         """Stop the recording, wait until its file is closed, and check it; takes some seconds.

@@ -18,6 +18,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,6 +26,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
+from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
 from biosensor_gateway.recording.recorder.request import (
     RecorderError,
@@ -98,6 +100,7 @@ END_S = 60.0
 _GIVEN_UP_S = 5.0
 _LARGEST_EXIT_CODE = 255
 _POLL_S = 0.1
+_WATCH_EVERY_S, _WATCH_S, _WATCH_END_S = 5.0, 1.0, 2.0
 _ALREADY, _NOT_RUN = 3, 4
 
 
@@ -232,6 +235,55 @@ def supervise(state: Path) -> int:
         lock.release()
 
 
+class _Watch(threading.Thread):
+    """Looks for streams that appear after a recording began, and so are not in it."""
+
+    def __init__(self, folder: RecorderFolder, visible: Iterable[VisibleStream]) -> None:
+        super().__init__(daemon=True)
+        self._state, self._config = folder.path.parent, folder.lsl_config
+        self._known = set(visible)
+        self._new: set[VisibleStream] = set()
+        self._end = threading.Event()
+        self.found: tuple[VisibleStream, ...] = ()
+
+    def run(self) -> None:
+        """Look every few seconds, until the end."""
+        os.environ["LSLAPICFG"] = str(self._config)
+        # Imported here, because the supervisor starts the program first.
+        from biosensor_common.lsl.network import search  # noqa: PLC0415 - see above
+
+        while not self._end.wait(_WATCH_EVERY_S):
+            infos = search(lambda _found, elapsed_s: elapsed_s >= _WATCH_S or self._end.is_set())
+            seen = {VisibleStream(e.name(), e.source_id(), e.hostname()) for e in infos}
+            self._take(seen)
+        self._take(set())
+
+    def _take(self, seen: set[VisibleStream]) -> None:
+        # Told at the next look, when the agent's status names a sensor that was added.
+        if self._new:
+            ours = _sources_of_agent(self._state)
+            late = sorted(each for each in self._new if each.source_id not in ours)
+            self.found = (*self.found, *late)
+        self._known |= self._new
+        self._new = seen - self._known
+
+    def end(self) -> None:
+        """Look no more."""
+        self._end.set()
+        self.join(_WATCH_END_S)
+
+
+def _sources_of_agent(state: Path) -> set[str]:
+    """Return the source_ids of the agent of this computer, which tells of its own sensors."""
+    from biosensor_gateway.agent import status_file  # noqa: PLC0415 - only then
+
+    try:
+        status = status_file.read_status(state)
+    except ConfigError:  # nothing is dropped: without an agent, all streams are others'
+        return set()
+    return {source for device in status["devices"] for source in device["streams"]}
+
+
 class _Supervisor:
     def __init__(self, folder: RecorderFolder) -> None:
         self._folder, self._is_told_to_end = folder, False
@@ -246,8 +298,16 @@ class _Supervisor:
             return _NOT_RUN
         with process:
             self._folder.save(recording := replace(recording, program=process.pid))
+            watch = _Watch(self._folder, recording.visible or ())
+            if recording.visible is not None:
+                watch.start()
             while process.poll() is None and not self._is_to_end():
                 time.sleep(_POLL_S)
+                if watch.found != recording.late:
+                    self._folder.save(recording := replace(recording, late=watch.found))
+            if recording.visible is not None:
+                watch.end()
+            recording = replace(recording, late=watch.found)
             problem = "" if process.poll() is None else self._why_it_ended(process, recording)
             problem = self._end(process, recording) or problem
         self._save_end(recording, process.returncode, problem)

@@ -21,31 +21,17 @@ from typing import TYPE_CHECKING
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.recording.participants import participant_of
+from biosensor_gateway.recording.xdf.findings import Finding, VisibleStream
 from biosensor_gateway.settings.names import LABEL, require_participant
 
 if TYPE_CHECKING:
     from biosensor_gateway.recording.recorder.live_file import Progress
-    from biosensor_gateway.recording.xdf.findings import Finding
     from biosensor_gateway.recording.xdf.verdict import Verdict
 
 SUFFIXES = (".xdf", ".xdfz")
 MAX_RUN = 1000
 """Limit of the field in LabRecorder's window."""
 GROWTH_S = 30.0
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class VisibleStream:
-    """A stream that this computer sees."""
-
-    name: str
-    source_id: str
-    host: str
-
-    @property
-    def title(self) -> str:
-        """Its name in LabRecorder's list."""
-        return f"{self.name} ({self.host})"
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from filelock import FileLock, Timeout
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.participants import listed
+from biosensor_gateway.recording.xdf.findings import VisibleStream
 from biosensor_gateway.system import state_file
 
 if TYPE_CHECKING:
@@ -53,6 +54,9 @@ class SavedRecording:
     # source_ids of the sensors that did not stream at the start, which the user confirmed.
     without: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
+    # Streams that were visible at the start; None if later ones are left out on purpose.
+    visible: tuple[VisibleStream, ...] | None = None
+    late: tuple[VisibleStream, ...] = ()  # Streams that appeared since.
 
     @classmethod
     def read(cls, path: Path) -> SavedRecording:
@@ -64,7 +68,7 @@ class SavedRecording:
             If it does not exist or is damaged.
         """
         content: dict[str, Any] = json.loads(state_file.read(path))
-        code = content["code"]
+        code, visible = content["code"], content.get("visible")
         return cls(
             file=str(content["file"]),
             required=tuple(str(each) for each in content["required"]),
@@ -76,6 +80,8 @@ class SavedRecording:
             recorder=str(content.get("recorder", LAB_RECORDER)),
             without=tuple(str(each) for each in content.get("without", ())),
             command=tuple(str(each) for each in content.get("command", ())),
+            visible=None if visible is None else tuple(VisibleStream(**each) for each in visible),
+            late=tuple(VisibleStream(**each) for each in content.get("late", ())),
         )
 
 

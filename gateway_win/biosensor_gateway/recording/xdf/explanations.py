@@ -61,6 +61,12 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "programs cannot open the file.",
         "Run `xdf salvage`, and always end recordings with `record stop` or LabRecorder's *Stop*.",
     ),
+    "late-stream": Explanation(
+        "A stream appeared after the recording began",
+        "Recorders search for streams at the start only, so nothing of this stream is in the file: "
+        "often the markers of an experiment that was started after the recording.",
+        "Start the programs first, look whether the recorder lists their streams, then record.",
+    ),
     "going-on": Explanation(
         "The file is still being recorded",
         "What comes later is not judged, and exports are refused until the recording has ended.",

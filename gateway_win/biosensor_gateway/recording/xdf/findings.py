@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum, unique
 from pathlib import Path
@@ -52,6 +52,44 @@ class Finding:
         """Return a copy about this subject; about our own streams, with a milder level."""
         milder = _MILDER if about is About.OURSELVES else {}
         return replace(self, about=about, level=milder.get(self.level, self.level))
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class VisibleStream:
+    """A stream that this computer sees."""
+
+    name: str
+    source_id: str
+    host: str
+
+    @property
+    def title(self) -> str:
+        """Its name in LabRecorder's list."""
+        return f"{self.name} ({self.host})"
+
+
+_MOST_NAMED = 5
+
+
+def late_streams(
+    late: Sequence[VisibleStream], recorded: Collection[tuple[str, str]]
+) -> Iterator[Finding]:
+    """Report streams that appeared after the recording began, as recorders search only then.
+
+    Parameters
+    ----------
+    recorded
+        Names and source_ids of the streams in the file.
+    """
+    missing = [each for each in late if (each.name, each.source_id) not in recorded]
+    if not missing:
+        return
+    named = ", ".join(each.title for each in missing[:_MOST_NAMED])
+    named += f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+    what = "is not in it: start its program" if len(missing) == 1 else "are not in it: start such"
+    what += "" if len(missing) == 1 else " programs"
+    text = f"{named} appeared after the recording began, and {what} first, then record"
+    yield Finding(Level.WARNING, "late-stream", "", text, About.OTHERS)
 
 
 def other_participants(

@@ -26,8 +26,10 @@ from biosensor_gateway.recording.xdf.findings import (
     About,
     Finding,
     Level,
+    VisibleStream,
     by_event,
     in_order,
+    late_streams,
     other_participants,
 )
 from biosensor_gateway.recording.xdf.header import RecordedHeader
@@ -405,6 +407,7 @@ def check(
     expected: Sequence[ExpectedStream] = (),
     without: Collection[str] = (),
     told: Iterable[str] = (),
+    late: Sequence[VisibleStream] = (),
 ) -> Verdict:
     """Read a recording and check it.
 
@@ -414,6 +417,8 @@ def check(
         source_ids of sensors that the user has excluded.
     told
         The recorder's messages that matter for the analysis.
+    late
+        Streams that appeared after the recording began.
 
     Raises
     ------
@@ -421,7 +426,12 @@ def check(
         If the file does not exist, cannot be read or is not an XDF file.
     """
     report = judge(read_recording(file), expected, without)
-    findings = [*report.findings, *(Finding(Level.WARNING, "told", "", each) for each in told)]
+    headers = (each.stream.header for each in report.streams)
+    findings = [
+        *report.findings,
+        *(Finding(Level.WARNING, "told", "", each) for each in told),
+        *late_streams(late, {(each.name, each.source_id) for each in headers}),
+    ]
     return verdict(replace(report, findings=tuple(in_order(findings))))
 
 
