@@ -19,7 +19,7 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.devices.registry import declaration
-from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, SETTLED_S, Discovery
+from lsl_to_ros.lsl.discovery import SETTLED_S, Discovery
 from lsl_to_ros.lsl.inlets import InletState
 from lsl_to_ros.parameters.node import ALIASES, aliases_of, fault
 from lsl_to_ros.parameters.streams import StreamSettings, check
@@ -304,12 +304,17 @@ class Lab:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.present: list[Info] = []
+        self.ended: set[str] = set()
         self.said: list[str] = []
         self.now_s = 100.0
         module = "lsl_to_ros.lsl.discovery"
 
         def resolver(**_options: object) -> SimpleNamespace:
-            return SimpleNamespace(results=lambda: self.present)
+            # One that begins after an outlet's end does not find it.
+            ended = frozenset(self.ended)
+            return SimpleNamespace(
+                results=lambda: [each for each in self.present if each.uid() not in ended]
+            )
 
         monkeypatch.setattr(f"{module}.pylsl.ContinuousResolver", resolver)
         monkeypatch.setattr(f"{module}.Inlet", KnownInlet)
@@ -331,7 +336,8 @@ class Lab:
         return {inlet.uid: inlet.number for inlet in self.discovery.inlets}
 
     def end(self, uid: str) -> None:
-        """Let an outlet end; the resolver may still report it."""
+        """Let an outlet end; a resolver that knows it still reports it."""
+        self.ended.add(uid)
         for inlet in self.discovery.inlets:
             if inlet.uid == uid:
                 inlet.state = InletState.LOST
@@ -377,6 +383,18 @@ def test_one_sender_that_moves_keeps_its_name(lab: Lab) -> None:
     assert lab.look(Info("1", "lab-pc", 1.0), Info("2", "stim-pc", 2.0)) == {"2": 1}
 
 
+def test_an_agent_that_starts_again_is_no_second_sender(lab: Lab) -> None:
+    KnownInlet.is_foreign = False
+    first, second = Info("1", "lab-pc", 1.0), Info("2", "lab-pc", 2.0)
+    lab.look(first)
+    lab.ended.add("1")
+    for _ in range(4):
+        # The first one is reported for some seconds more, but does not answer.
+        assert lab.look(first, second) == {"2": 1}
+    assert lab.discovery.twins(lab.discovery.inlets[0]) == []
+    assert lab.said == []
+
+
 def test_a_second_sender_of_one_device_is_left_out_and_known(lab: Lab) -> None:
     KnownInlet.is_foreign = False
     first, second = Info("1", "lab-pc", 1.0), Info("2", "stim-pc", 2.0)
@@ -384,8 +402,8 @@ def test_a_second_sender_of_one_device_is_left_out_and_known(lab: Lab) -> None:
     assert lab.look(first, second) == {"2": 1}
     (served,) = lab.discovery.inlets
     assert lab.discovery.twins(served) == []
-    # It still is there when a dead one would not be reported any more.
-    assert lab.look(first, second, after_s=ALIVE_AFTER_S + 1) == {"2": 1}
+    # It answers a resolver that began after the second one had come.
+    assert lab.look(first, second) == {"2": 1}
     assert lab.discovery.twins(served) == ["lab-pc"]
     (told,) = lab.discovery.refusals.present
     assert told.what is Refusal.SAME_SOURCE

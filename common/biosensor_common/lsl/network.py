@@ -31,6 +31,10 @@ from biosensor_common.stream_header import StreamHeader
 LOOK_EVERY_S = 0.1
 FORGET_AFTER_S = 5.0
 """liblsl still reports an outlet for this long after it has ended."""
+OVERLAP_S = 1.0
+"""A sender that replaces its own outlet may have both for so long."""
+ANSWER_S = 3.0
+"""An outlet that has not answered after so long is asked again."""
 Streams = Mapping[str, pylsl.StreamInfo]
 """Streams by their uids."""
 
@@ -66,6 +70,42 @@ class Network:
         included for some seconds.
         """
         return sorted(self._resolver.results(), key=by_start)
+
+
+class Living:
+    """Tells outlets that are alive from those that have ended but are still reported.
+
+    A resolver reports only outlets that have answered since it began, so a new one is asked.
+    """
+
+    def __init__(self, predicate: str = EVERYTHING) -> None:
+        self._predicate = predicate
+        self._due_s: dict[str, float] = {}
+        self._living: set[str] = set()
+        self._asked: Network | None = None
+        self._asked_s = 0.0
+
+    def among(self, uids: Collection[str], now_s: float) -> set[str]:
+        """Return those that are known to be alive; call it a few times a second.
+
+        Parameters
+        ----------
+        uids
+            All outlets in doubt. Each is asked once it has been in doubt for `OVERLAP_S`.
+        now_s
+            On any steady clock.
+        """
+        self._due_s = {uid: self._due_s.get(uid, now_s + OVERLAP_S) for uid in uids}
+        self._living &= self._due_s.keys()
+        due = {uid for uid, due_s in self._due_s.items() if due_s <= now_s} - self._living
+        if self._asked is not None:
+            answered = {info.uid() for info in self._asked.streams()}
+            self._living |= {uid for uid in due & answered if self._due_s[uid] <= self._asked_s}
+        if due <= self._living:
+            self._asked = None
+        elif self._asked is None or now_s - self._asked_s > ANSWER_S:
+            self._asked, self._asked_s = Network(self._predicate), now_s
+        return set(self._living)
 
 
 def matches_query(info: pylsl.StreamInfo, query: str) -> bool:

@@ -12,7 +12,7 @@ import pylsl
 
 from biosensor_common import process_limits
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.network import FORGET_AFTER_S, Network, SenderNumbers
+from biosensor_common.lsl.network import Living, Network, SenderNumbers
 from biosensor_common.lsl.predicates import (
     EVERYTHING,
     Predicate,
@@ -173,8 +173,6 @@ class Duplicates:
 
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
-# An outlet that is still reported after this time is alive, although another has replaced it.
-ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
 # So long an outlet waits until it is known whether another one that claims to be the same lives.
 SETTLED_S = 2.0
@@ -191,11 +189,10 @@ def asks_for_ros(predicate: Predicate) -> bool:
     return _ROS_BLOCK in predicate
 
 
-def network_of(predicate: Predicate) -> Network:
-    """Track the streams of a predicate and the counters of all agents."""
+def query_of(predicate: Predicate) -> Predicate:
+    """Select the streams of a predicate and the counters of all agents."""
     served = predicate if asks_for_ros(predicate) else all_of(predicate, none_of(FROM_ROS))
-    counters = equals("type", ContentType.COUNTERS)
-    return Network(any_of(served, counters))
+    return any_of(served, equals("type", ContentType.COUNTERS))
 
 
 class FileRoom:
@@ -251,13 +248,15 @@ class Discovery:
     def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
         self.refusals = Refusals(warn)  # Streams that are left out or may be confused.
         self._predicate = wanted_by(predicate)
-        self._network = network_of(self._predicate)
+        self._network = Network(query_of(self._predicate))
+        self._living = Living(query_of(self._predicate))
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
         self._order: dict[str, int] = {}
         self._numbers = count()
         self._not_before: dict[str, float] = {}
-        self._left_out: dict[str, float] = {}
+        self._left_out: set[str] = set()
+        self._alive: set[str] = set()
         self._seen_s: dict[str, float] = {}
         self._refused: dict[str, str] = {}
         self._numbers_of_senders = SenderNumbers()
@@ -306,7 +305,8 @@ class Discovery:
         wanted = wanted_by(predicate)
         if wanted != self._predicate:
             self._predicate = wanted
-            self._network = network_of(wanted)
+            self._network = Network(query_of(wanted))
+            self._living = Living(query_of(wanted))
 
     def update(self) -> tuple[list[Inlet], list[Inlet]]:
         """Open inlets for new streams; return those that became ready, and those that ended."""
@@ -385,8 +385,8 @@ class Discovery:
         return self._open(info, live, [other for other in before if other not in live])
 
     def _is_alive(self, info: pylsl.StreamInfo) -> bool:
-        """Whether an outlet is still announced although another one seemed to replace it."""
-        return monotonic() - self._left_out[info.uid()] > ALIVE_AFTER_S
+        """Whether an outlet is alive although another one seemed to replace it."""
+        return info.uid() in self._alive
 
     def _open(
         self, info: pylsl.StreamInfo, beside: Sequence[Inlet], replaced: list[Inlet]
@@ -402,7 +402,7 @@ class Discovery:
             self.refusals.refuse(Refusal.UNUSABLE, about=about(info), why=error)
             return []
         self._inlets[inlet.uid] = inlet
-        self._left_out.pop(inlet.uid, None)
+        self._left_out.discard(inlet.uid)
         return replaced
 
     def _has_room(self, info: pylsl.StreamInfo) -> bool:
@@ -429,13 +429,14 @@ class Discovery:
         later = [inlet for inlet in self.inlets if self._order[inlet.uid] > self._order[uid]]
         if not _continued_as(info, later):
             return False
-        self._left_out.setdefault(uid, monotonic())
+        self._left_out.add(uid)
         return True
 
     def _tell_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         """Report live outlets that are left out because a later one has the same identity."""
-        for uid, since in self._left_out.items():
-            if monotonic() - since > ALIVE_AFTER_S and uid not in self._twins:
+        self._alive = self._living.among(self._left_out & found.keys(), monotonic())
+        for uid in self._left_out & self._alive:
+            if uid not in self._twins:
                 self._twins[uid] = found[uid]
                 host = found[uid].hostname()
                 self.refusals.refuse(Refusal.SAME_SOURCE, about=about(found[uid]), hosts=host)
@@ -449,11 +450,12 @@ class Discovery:
 
     def _forget_all_but(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         known = found.keys() | self._inlets.keys()
-        for record in (self._not_before, self._left_out, self._order, self._seen_s):
+        self._left_out &= known
+        for record in (self._not_before, self._order, self._seen_s):
             for uid in record.keys() - known:
                 del record[uid]
         self._room.forget_all_but(known)
-        for uid in self._twins.keys() - (found.keys() & self._left_out.keys()):
+        for uid in self._twins.keys() - (found.keys() & self._left_out):
             self.refusals.over(Refusal.SAME_SOURCE, about(self._twins.pop(uid)))
         for uid in self._refused.keys() - found.keys():
             self.refusals.over(Refusal.UNUSABLE, self._refused.pop(uid))
