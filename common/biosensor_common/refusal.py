@@ -169,7 +169,13 @@ class Refusal(Enum):
     SENT_TWICE = _standing(
         "sent_twice",
         "another ros_to_lsl also sends it, or was killed less than half a minute ago: recordings "
-        "have each message twice; end one of them",
+        "have each message twice; end one of them, or, if it sends another robot's topic, give one "
+        "of the streams another name (parameter /topic.name)",
+    )
+    SAME_NAME = _standing(
+        "same_name",
+        "another ros_to_lsl, on {hosts}, sends a different stream of the name {names}: only a "
+        "number tells them apart in exports; give one of them another name (parameter /topic.name)",
     )
     NEW_CHANNELS = _passing(
         "new_channels",

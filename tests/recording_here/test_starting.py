@@ -75,9 +75,20 @@ def test_an_agent_in_another_session_is_not_recorded(tmp_path: Path, is_ours: bo
 
 def test_two_streams_of_one_name_are_told_when_it_begins() -> None:
     ours, other = VisibleStream("P01-a", "P01@a", "here"), VisibleStream("b", "b-id", "there")
-    assert list(doubles(Presence((ours, other, other), (other,), ()))) == []
-    (sentence,) = doubles(Presence((ours, ours, other), (other,), ()))
+    robot = VisibleStream("b", "other-id", "robot")
+
+    def told(*streams: VisibleStream, only_ours: bool = False) -> list[str]:
+        wanted = [each for each in streams if each == ours] if only_ours else streams
+        return list(doubles(Presence(streams, (other, robot), ()), wanted))
+
+    assert told(ours, other) == []
+    (sentence,) = told(ours, ours, other)
     assert sentence.startswith("P01-a (here) exist twice each: another agent uses")
+    # Of others a copied source_id, or the topics of two robots.
+    for second in (other, robot):
+        (sentence,) = told(ours, other, second)
+        assert sentence.startswith(f"b (there), b ({second.host}) have the same name")
+        assert told(ours, other, second, only_ours=True) == []
 
 
 AWAY = "polar_h10/A1 of P01 was paused the whole time, and "

@@ -16,6 +16,7 @@ from lsl_to_ros.ros_to_lsl import bridge, outlets
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Topic
+from lsl_to_ros.ros_to_lsl.outlets import OtherOutlet
 from lsl_to_ros.ros_to_lsl.reports import node_status
 from lsl_to_ros.subscriber_thread import Taker, _Entry
 from tests.refusals.provoked import Shown, fake, provokes
@@ -122,6 +123,18 @@ def sent_twice(patch: pytest.MonkeyPatch) -> Shown:
     node.get_subscriptions_info_by_topic = lambda _: [fake(node_name="ros_to_lsl")] * 2
     RosToLsl._tell_sent_twice(
         node, fake(name="/topic", bridge=topic.bridge, is_subscribed=True), ()
+    )
+    return entry(topic)
+
+
+@provokes(Refusal.SAME_NAME)
+def same_name(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped, PoseStamped())
+    node = fake(get_name=lambda: "ros_to_lsl", get_subscriptions_info_by_topic=lambda _: [])
+    (name,) = topic.bridge.streams
+    others = [OtherOutlet(f"ros-robot-b-0-{name}-12345678", name, "robot-b")]
+    RosToLsl._tell_sent_twice(
+        node, fake(name="/topic", bridge=topic.bridge, is_subscribed=True), others
     )
     return entry(topic)
 

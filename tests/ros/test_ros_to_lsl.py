@@ -30,6 +30,8 @@ from tests.rigs.compiler import compile_c
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+# Above those that tests run in (tests/slots.py).
+OTHER_DOMAIN = 36
 pytestmark = pytest.mark.nightly
 
 # The node ``ros_to_lsl``, from real publishers to real inlets.
@@ -266,6 +268,19 @@ def test_a_node_that_was_started_twice_says_so(
     streams.open("level").until(lambda: said_of(ros, "/level") == "sending", "one that sends")
     start_node(*arguments(topic), *options, module=MODULE)
     ros.until(lambda: "another ros_to_lsl also sends it" in said_of(ros, "/level"), "another one")
+
+
+def test_two_robots_that_send_a_topic_of_one_name_are_told_apart(
+    ros: Ros, streams: Streams, start_node: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ros.publish(lambda: Float64(data=1.0), "/level")
+    start_node(*arguments("/level"), module=MODULE)
+    streams.open("level").until(lambda: said_of(ros, "/level") == "sending", "one that sends")
+    # The other robot has a ROS domain of its own, so ROS knows nothing of it.
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(OTHER_DOMAIN))
+    start_node(*arguments("/level", "/level.as:=markers"), module=MODULE)
+    said = "sends a different stream of the name level"
+    ros.until(lambda: said in said_of(ros, "/level"), "the other one")
 
 
 def test_text_beside_numbers_is_a_stream_of_markers_of_its_changes(

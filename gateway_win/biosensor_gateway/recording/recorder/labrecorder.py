@@ -316,7 +316,7 @@ def _require_free(target: Target) -> None:
 
 def _warnings(presence: Presence, request: RecordingRequest) -> Iterator[str]:
     yield from recorded_without((*presence.away, *presence.missing))
-    yield from doubles(presence)
+    yield from doubles(presence, presence.visible)
     if presence.foreign and not request.all_streams:
         yield (
             "started by remote control, LabRecorder records every stream that it sees; these do "

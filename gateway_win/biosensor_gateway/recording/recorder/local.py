@@ -161,7 +161,7 @@ class LocalRecorder:
         left_out = (
             *recorded_without(presence.missing),
             *_missed(missed),
-            *doubles(presence),
+            *doubles(presence, wanted),
         )
         return LocalStarted(
             by=By.GATEWAY,

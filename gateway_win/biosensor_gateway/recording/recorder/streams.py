@@ -229,8 +229,8 @@ def recorded_without(what: Sequence[str]) -> Iterator[str]:
         yield f"recorded without: {'; '.join(what)}"
 
 
-def doubles(presence: Presence) -> Iterator[str]:
-    """Yield a sentence if streams of the agent are visible twice, once from another agent."""
+def doubles(presence: Presence, wanted: Sequence[VisibleStream]) -> Iterator[str]:
+    """Yield sentences if streams of the agent, or names of recorded streams, are there twice."""
     ours = Counter(each for each in presence.visible if each not in presence.foreign)
     twice = [each for each, count in ours.items() if count > 1 and each.source_id]
     if twice:
@@ -238,6 +238,13 @@ def doubles(presence: Presence) -> Iterator[str]:
             f"{titles(twice)} exist twice each: another agent uses the same names, and its data "
             "may be another person's; end it, or give its sensors another participant, and "
             "record again"
+        )
+    names = Counter(each.name for each in wanted)
+    alike = [each for each in wanted if names[each.name] > 1 and each not in twice]
+    if alike:
+        yield (
+            f"{titles(alike)} have the same name: only numbers tell them apart in exports; end "
+            "what is not wanted, or give each its own name, and record again"
         )
 
 

@@ -35,7 +35,7 @@ from lsl_to_ros.reports.diagnostics import named_by
 from lsl_to_ros.reports.reporter import Rhythm
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, Topic, are_named
-from lsl_to_ros.ros_to_lsl.outlets import OtherOutlets
+from lsl_to_ros.ros_to_lsl.outlets import OtherOutlet, OtherOutlets
 from lsl_to_ros.ros_to_lsl.parameters import TopicRequest, read_requests, stream_name
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
@@ -130,7 +130,7 @@ class RosToLsl(Node):
             self._open_small(graph)
         self._looks += 1
         is_to_ask_all = self._looks % LOOKS_BETWEEN == 0
-        others = self._other_outlets.source_ids() if is_to_ask_all else set[str]()
+        others = self._other_outlets.look() if is_to_ask_all else []
         for each in self._topics.values():
             if is_to_ask_all or each.kind is None:
                 self._follow(graph, each)
@@ -175,19 +175,26 @@ class RosToLsl(Node):
             # nothing is dropped: it begins
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
 
-    def _tell_sent_twice(self, topic: Topic, others: Collection[str]) -> None:
-        """Report that another node of this program sends a topic, as when it was started twice.
+    def _tell_sent_twice(self, topic: Topic, others: Collection[OtherOutlet]) -> None:
+        """Report that another node of this program sends a topic, or a stream of its name.
 
         Parameters
         ----------
         others
-            The source_ids of outlets elsewhere, by which a node with another name is known.
+            The outlets of other processes, by which a node with another name, or of another
+            robot, is known.
         """
         readers = self.get_subscriptions_info_by_topic(topic.name)
         of_program = sum(each.node_name in {PROGRAM, self.get_name()} for each in readers)
         is_read_twice = of_program > topic.is_subscribed and not topic.bridge.fault
-        is_twice = is_read_twice or not topic.bridge.source_ids.isdisjoint(others)
-        topic.bridge.refusals.hold(Refusal.SENT_TWICE, is_twice)
+        own, hold = topic.bridge.source_ids, topic.bridge.refusals.hold
+        hold(Refusal.SENT_TWICE, is_read_twice or any(each.source_id in own for each in others))
+        alike = [e for e in others if e.name in topic.bridge.streams and e.source_id not in own]
+        hosts, names = (
+            ", ".join(sorted(set(all_)))
+            for all_ in ([e.host for e in alike], [e.name for e in alike])
+        )
+        hold(Refusal.SAME_NAME, bool(alike), hosts=hosts, names=names)
 
     def _is_met(self, graph: Graph, topic: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
         """Whether a topic's publishers were seen long enough to know their nodes."""

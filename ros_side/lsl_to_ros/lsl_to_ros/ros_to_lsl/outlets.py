@@ -19,6 +19,7 @@ import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import pylsl
@@ -32,6 +33,7 @@ from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_common.ros.layout import Channel
 from lsl_to_ros.ros_to_lsl.stamps import ClockState, StampSource
 
+_PREFIX = "ros-"
 READY = "ros_to_lsl ready"
 """A marker sent when the first receiver connects. Some versions of the MATLAB loader cannot load a
 stream without markers."""
@@ -158,19 +160,31 @@ def _note_own(outlet: LslOutlet) -> None:
     _own_uids.add(outlet.get_info().uid())
 
 
-class OtherOutlets:
-    """Finds outlets of other processes with source_ids as this process gives them.
+class OtherOutlet(NamedTuple):
+    """An outlet of another process of this program."""
 
-    Their nodes may have other names, and may send a different topic of the same name.
+    source_id: str
+    name: str
+    host: str
+
+
+class OtherOutlets:
+    """Finds outlets of other processes of this program.
+
+    Their nodes may have other names, may be on other robots, and may send a different topic of the
+    same name.
     """
 
     def __init__(self) -> None:
-        self._network = Network(begins_with("source_id", _source_id("")))
+        self._network = Network(begins_with("source_id", _PREFIX))
 
-    def source_ids(self) -> set[str]:
-        """Return the source_ids of the present outlets."""
-        streams = self._network.streams()
-        return {each.source_id() for each in streams if each.uid() not in _own_uids}
+    def look(self) -> list[OtherOutlet]:
+        """Return the present outlets."""
+        return [
+            OtherOutlet(each.source_id(), each.name(), each.hostname())
+            for each in self._network.streams()
+            if each.uid() not in _own_uids
+        ]
 
 
 def with_stamp(origin: Origin, source: StampSource, clock: ClockState, edge_s: float) -> Origin:
@@ -182,7 +196,7 @@ def with_stamp(origin: Origin, source: StampSource, clock: ClockState, edge_s: f
 def _source_id(name: str) -> str:
     # The same topic may exist on another computer or in another ROS domain.
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    return f"ros-{naming.sanitise(socket.gethostname())}-{domain}-{name}"
+    return f"{_PREFIX}{naming.sanitise(socket.gethostname())}-{domain}-{name}"
 
 
 def _content_type(origin: Origin, channels: Sequence[Channel]) -> str:
