@@ -152,6 +152,8 @@ async def test_without_summaries_general_data_take_their_place() -> None:
     async with streaming(fast(summary_supported=False)) as run:
         await eventually(run.sink.has_blocks("hr", "br", "posture", "activity", "bat", "quality"))
         sent = [out.values for out in run.device.sent if out.packet is Packet.GENERAL]
+        # What general data lack is said.
+        assert {"hrv", "rssi"} <= set(re.findall(r"\w+", str(run.supervisor.last_error)))
     assert sent[0] is not None
     assert run.sink.array("hr")[0, 0] == sent[0]["heart_rate_bpm"]
     assert run.sink.array("bat")[0, 0] == 80
@@ -174,7 +176,8 @@ async def test_general_data_are_asked_for_only_if_summaries_stay_away(
         # Ten a second: the patience is over before.
         await eventually(run.sink.has_blocks("hr", blocks=25))
         general = Packet.GENERAL in run.device.enabled
-    assert general == isinstance(source, NoSummaries)
+        said = "hrv and rssi are missing" in str(run.supervisor.last_error)
+    assert general == said == isinstance(source, NoSummaries)
     assert run.device.switched_on == frozenset()
 
 

@@ -56,6 +56,8 @@ TORN_FRAME_S = 1.0
 """Longest gap within a frame; recorded Bluetooth reads are up to 0.51 s apart."""
 SUMMARY_PATIENCE_S = 5.0
 
+ONLY_IN_SUMMARIES = ("hrv", "rssi")
+"""Streams that general data lack."""
 _DENIED = "it refuses to send their packets; update its firmware"
 
 
@@ -94,12 +96,15 @@ class ZephyrDriver:
         self._dialogue.begin()
         self._emitter.reconnected()
         refused = [packet for packet in PACKETS if not await self._enable(packet)]
+        has_no_summary = Request.SUMMARY in refused
         if Request.SUMMARY in refused and await self._enable(Request.GENERAL):
             refused.remove(Request.SUMMARY)
         if not self._enabled:
             message = f"{self._port}: the device refuses every packet; is it a BioHarness 3?"
             raise ProtocolError(ProtocolReason.REFUSED, message)
         denied = {name: _DENIED for packet in refused for name in STREAMS[packet]}
+        if has_no_summary:
+            denied |= dict.fromkeys(ONLY_IN_SUMMARIES, _DENIED)
         due = {name: limit_s for name, limit_s in DUE.items() if name not in denied}
         return Connected(denied=denied, due=due)
 
@@ -175,7 +180,9 @@ class ZephyrDriver:
     def _take(self, found: Sequence[Heard[Message]]) -> None:
         for message, arrival_s in found:
             self._sink.heard(*(("ibi",) if isinstance(message, RrIntervals) else ()))
-            self._summary_seen = self._summary_seen or isinstance(message, Summary)
+            if isinstance(message, Summary) and not self._summary_seen:
+                self._summary_seen = True
+                self._sink.remark("summary")
             self._emitter.take(message, arrival_s)
 
     async def _stay_awake(self) -> None:
@@ -189,6 +196,10 @@ class ZephyrDriver:
         if not self._summary_seen and Request.GENERAL not in self._enabled:
             self._link.write(enable(Request.GENERAL, on=True))
             self._enabled.append(Request.GENERAL)
+            missing = " and ".join(ONLY_IN_SUMMARIES)
+            self._sink.remark(
+                "summary", f"{missing} are missing: it sends no summaries; update its firmware"
+            )
 
 
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
