@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 
 from tests.rigs.processes import let_programs_be_interrupted
 from tests.slots import lsl_ports, take_slot
-from tests.tiers.tier import Tier, tier_of
+from tests.tiers.tier import Tier, is_in_memory, tier_of
 
 if TYPE_CHECKING:
     from biosensor_gateway.simulation.world import World
@@ -78,11 +78,11 @@ def pytest_asyncio_loop_factories(
 
 
 @pytest.fixture(autouse=True)
-def _links_of_unit_tests_are_in_memory(  # pyright: ignore[reportUnusedFunction]
+def _links_are_in_memory(  # pyright: ignore[reportUnusedFunction]
     request: pytest.FixtureRequest,
 ) -> Generator[None]:
     """Sockets, serial ports, LSL outlets and all clocks; see tests/rigs/memory_links.py."""
-    if tier_of(request.node) is not Tier.UNIT:
+    if not is_in_memory(request.node):
         yield
         return
     from biosensor_gateway.streaming import outlets  # noqa: PLC0415 - LSL comes later

@@ -20,7 +20,7 @@ from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from tests.every_sensor.acme_band import SENSOR as SOMEBODY_ELSES
 from tests.rigs.virtual_time import VirtualTime, virtual_time
-from tests.tiers.tier import Tier, tier_of
+from tests.tiers.tier import is_in_memory
 
 NAMES = (
     *virtual_names(),
@@ -96,7 +96,7 @@ def _has_link(item: pytest.Item) -> bool:
 @pytest.fixture
 async def world(name: str, request: pytest.FixtureRequest) -> AsyncGenerator[World]:
     """Outside time, unless bytes go by real links."""
-    if class_of(name).on_air or tier_of(request.node) is Tier.UNIT:
+    if class_of(name).on_air or is_in_memory(request.node):
         with virtual_time() as clock, World(clock) as world:
             yield world
     else:

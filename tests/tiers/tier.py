@@ -31,6 +31,14 @@ def tier_of(item: pytest.Item) -> Tier:
     return Tier.UNIT
 
 
+def is_in_memory(item: pytest.Item) -> bool:
+    """Tell whether a test's links are in memory, and its time is virtual.
+
+    They are in unit tests, and in those that are only too long for that.
+    """
+    return tier_of(item) is Tier.UNIT or item.get_closest_marker("in_memory") is not None
+
+
 def may_hold(text: str, tier: Tier) -> bool:
     """Tell from a file's text whether it may have tests of a tier, without importing it."""
     if tier is Tier.UNIT:
