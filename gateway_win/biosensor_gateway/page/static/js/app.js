@@ -144,7 +144,7 @@ function App() {
       ${status && !isEmpty && !device && html`
         <div class="pair">
           <div><span ref=${session}></span><${Session} status=${status} act=${act} /></div>
-          ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} isRecorded=${status.recording.is_running} isVirtual=${status.virtual} act=${act} />`}
+          ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} isRecorded=${status.recording.is_running && status.recording.busy !== "ending"} isVirtual=${status.virtual} act=${act} />`}
         </div>`}
       ${status && !status.replay.is_running && html`<${Over} replay=${status.replay} />`}
       ${device
