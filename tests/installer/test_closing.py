@@ -69,7 +69,7 @@ def test_the_recording_is_ended_before_its_streams(stub_pc: WindowsPc, stub_setu
     ended = stub_pc.prefix.attempt(stub_setup, "/S", "/FORCE=1")
     end(stub_pc, process)
     assert ended.returncode == DONE
-    assert asked(stub_pc)[:3] == ["record stop", "page --end", "stop"]
+    assert asked(stub_pc)[:3] == ["record stop", "page --end", "stop --while-recording"]
 
 
 def test_nothing_is_closed_unless_all_can_be(stub_pc: WindowsPc, stub_setup: Path) -> None:
@@ -123,7 +123,7 @@ def test_nothing_that_others_can_replace_is_run_as_administrator(
         places.unlink()
         assert pc.prefix.attempt(stub_setup, "/S", "/FORCE=1").returncode == DONE
         end(pc, process)
-        assert asked(pc)[:3] == ["record stop", "page --end", "stop"]
+        assert asked(pc)[:3] == ["record stop", "page --end", "stop --while-recording"]
         assert "installation autostart-state" in calls(pc).read_text()
         assert program.is_file()
         assert not stale.exists()

@@ -56,6 +56,26 @@ def written(tmp_path: Path) -> Written:
     return Written(tmp_path)
 
 
+def test_a_file_that_is_moved_away_or_shortened_is_said_at_once(
+    written: Written, tmp_path: Path
+) -> None:
+    file = tmp_path / "a.xdf"
+    written.write(HEAD + data(1, 101.0, 101.1))
+    assert written.codes() == []
+    moved = file.rename(tmp_path / "b.xdf")
+    written.growth.look()
+    (found,) = written.growth.problems()
+    assert (found.code, found.level) == ("file-gone", Level.ERROR)
+    assert "it was moved, renamed or deleted" in found.text
+    moved.rename(file)
+    written.growth.look()
+    assert written.codes() == []
+    file.write_bytes(HEAD)
+    written.growth.look()
+    (found,) = written.growth.problems()
+    assert "was shortened or replaced by another program" in found.text
+
+
 @pytest.mark.parametrize("step", [1, 7, 1000])
 def test_any_cutting_gives_the_same_and_no_damage(tmp_path: Path, step: int) -> None:
     content = HEAD + TWO + data(1, 101.0, 101.1) + boundary() + offset(1, 102.0) + data(2, 102.5)
@@ -196,10 +216,10 @@ def test_a_file_that_rests_is_said(written: Written) -> None:
     assert written.growth.look().is_closed
 
 
-def test_a_file_that_is_not_there_is_empty(written: Written) -> None:
+def test_a_file_that_is_not_there_is_empty_and_gone(written: Written) -> None:
     sight = written.growth.look()
     assert (sight.bytes, sight.streams) == (0, ())
-    assert written.codes("one-id") == []
+    assert written.codes("one-id") == [("", "file-gone")]
 
 
 def _steady(begin: float, count: int) -> list[float]:

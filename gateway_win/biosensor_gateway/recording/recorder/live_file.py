@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import time
 from collections import deque
@@ -81,6 +82,9 @@ _MOST_SPELLS = 20
 """Number of absences of each sensor that are listed, the newest."""
 
 
+GONE = "is no longer there: it was moved, renamed or deleted, or its disk was taken away"
+
+
 class GrowingFile:
     """Passes on the chunks appended since the last call.
 
@@ -97,6 +101,7 @@ class GrowingFile:
         self._rest = b""
         self._has_begun = self._is_lost = False
         self.size = 0
+        self.gone = ""  # What happened to it, as the end of a sentence; empty if nothing.
         # A clause for each unreadable place, in the order of the file.
         self.damages: list[str] = []
 
@@ -108,15 +113,18 @@ class GrowingFile:
         OSError
             If the file exists but cannot be read.
         """
-        before = self.size
+        before, self.gone = self.size, ""
         try:
             with self._path.open("rb") as file:
+                if os.fstat(file.fileno()).st_size < self.size:
+                    self.gone = "was shortened or replaced by another program"
                 file.seek(self.size)
                 while block := file.read(_BLOCK_BYTES):
                     self.size += len(block)
                     self._rest += block
                     self._walk()
         except FileNotFoundError:
+            self.gone = GONE
             return 0
         return self.size - before
 
@@ -693,6 +701,12 @@ class Growth:
         return 0.0 if self._newest is None or begun is None else max(0.0, self._newest - begun)
 
     def _problems_of_file(self) -> Iterator[Finding]:
+        if self._growing.gone:
+            text = (
+                f"the file {self._growing.gone}, so what is recorded now may be lost: stop, look "
+                "for it, and record again"
+            )
+            yield Finding(Level.ERROR, "file-gone", "", text)
         for damage in self._growing.damages:
             yield Finding(Level.ERROR, "damaged", "", f"the file is damaged at {damage}")
         free = _free_bytes(self._file)

@@ -24,7 +24,7 @@ from biosensor_common.lsl.api_file import (
     known_peers,
 )
 from biosensor_common.lsl.predicates import EVERYTHING
-from biosensor_gateway.recording.recorder.live_file import Growth
+from biosensor_gateway.recording.recorder.live_file import GONE, Growth
 from biosensor_gateway.recording.recorder.program import (
     END_S,
     PROGRAM_NAME,
@@ -550,9 +550,9 @@ def _wait_for_program(saved: SavedRecording) -> None:
 
 
 def _why_not_closed(saved: SavedRecording, seen: FileSummary) -> str:
-    what = (
-        "it is empty" if not seen.bytes else "it was not closed: it breaks off, or its disk is full"
-    )
+    what = "it was not closed: it breaks off, or its disk is full"
+    if not seen.bytes:
+        what = "it is empty" if Path(saved.file).exists() else f"it {GONE}"
     return f"{saved.problem}; {what}" if saved.problem else what
 
 

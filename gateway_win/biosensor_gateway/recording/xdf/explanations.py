@@ -67,6 +67,12 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "often the markers of an experiment that was started after the recording.",
         "Start the programs first, look whether the recorder lists their streams, then record.",
     ),
+    "file-gone": Explanation(
+        "The file is gone",
+        "It was moved, renamed, deleted or replaced during the recording. The recorder may go on "
+        "writing to the moved file, but not to a disk that was taken away.",
+        "Stop the recording, look for the file, and never move a file before its recording ends.",
+    ),
     "going-on": Explanation(
         "The file is still being recorded",
         "What comes later is not judged, and exports are refused until the recording has ended.",
