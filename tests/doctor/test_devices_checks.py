@@ -9,14 +9,12 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import keyring
 import pytest
-from keyring.backends import fail
 
 from biosensor_common.doctor.check import Level
 from biosensor_gateway.devices.emotiv_insight.simulator import Licence
@@ -39,13 +37,9 @@ CORTEX = '[[device]]\nsensor = "emotiv_insight"\nunit = "1"\nurl = "{}"\nca_file
 
 
 @pytest.fixture(autouse=True)
-def no_secrets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
     for variable in ("EMOTIV_CLIENT_ID", "EMOTIV_CLIENT_SECRET"):
         monkeypatch.delenv(variable, raising=False)
-    before = keyring.get_keyring()
-    keyring.set_keyring(fail.Keyring())
-    yield
-    keyring.set_keyring(before)
 
 
 @pytest.fixture

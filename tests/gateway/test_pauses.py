@@ -439,11 +439,6 @@ FIRST = DeviceIdentity("polar_h10", "A1", "p01", "left")
 SECOND = DeviceIdentity("zephyr", "B2", "p02")
 
 
-@pytest.mark.parametrize("name", ["polar_h10/A1", "polar_h10", "left", "p01"])
-def test_it_is_called_by_any_name_that_it_alone_has(name: str) -> None:
-    assert chosen(name, [FIRST, SECOND]) == FIRST
-
-
 @pytest.mark.parametrize(
     ("name", "meant"),
     [("polar_h10/A2", "polar_h10/A1"), ("polarh10", "polar_h10"), ("lefft", "left")],

@@ -58,6 +58,7 @@ from biosensor_gateway.system.device_log import names_in_log
 from biosensor_gateway.system.keep_alive import RESTARTS
 from biosensor_gateway.system.logs import configure_logs, flush_logs
 from tests.gateway.test_new_file import NoDriver
+from tests.rigs.gateway import recording_going_on
 from tests.rigs.kept_logging import kept_logging
 from tests.rigs.memory_links import MemoryOutlet
 from tests.xdf.checking import codes, text_of
@@ -235,14 +236,8 @@ def agent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Agent:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Generator[Path]:
-    folder = RecorderFolder(tmp_path)
-    folder.path.mkdir()
-    file = tmp_path / "sub-P01_task-walk.xdf"
-    folder.save(SavedRecording(str(file), (), 1.0))
-    lock = folder.try_lock()
-    assert lock is not None
-    yield file
-    lock.release()
+    with recording_going_on(tmp_path) as file:
+        yield file
 
 
 @pytest.fixture

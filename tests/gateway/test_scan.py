@@ -13,9 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import keyring
 import pytest
-from keyring.backends import fail
 
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
 from biosensor_gateway.devices.driver import Found
@@ -58,13 +56,9 @@ QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
 
 
 @pytest.fixture(autouse=True)
-def no_secrets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
     for variable in ("EMOTIV_CLIENT_ID", "EMOTIV_CLIENT_SECRET"):
         monkeypatch.delenv(variable, raising=False)
-    before = keyring.get_keyring()
-    keyring.set_keyring(fail.Keyring())
-    yield
-    keyring.set_keyring(before)
 
 
 def sections(outcome: Outcome) -> dict[str, dict[str, Any]]:

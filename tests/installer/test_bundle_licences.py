@@ -8,10 +8,8 @@ import re
 import shutil
 import sysconfig
 import tomllib
-from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
-from typing import Any, cast
 
 import pytest
 from cyclonedx.schema import SchemaVersion
@@ -32,7 +30,7 @@ from installer.bundle.names import normalised
 from installer.bundle.sbom import FILE_NAME
 from installer.bundle.texts import FOLDER
 from installer.stages import STAMP
-from tests.installer.test_bundle_inventory import MICROSOFTS, PROGRAM, Rig
+from tests.installer.test_bundle_inventory import MICROSOFTS, PROGRAM, Entry, Rig, entries
 
 # Which licences may be shipped, and where their texts are from.
 
@@ -202,7 +200,6 @@ def test_the_source_of_each_kept_text_is_named() -> None:
 
 
 # The bill of materials: valid, complete, and the same for the same bundle.
-Entry = dict[str, Any]
 # As numpy's wheels head the licence of each library that they bring.
 _BUNDLED = b"""\
 Copyright of the package itself.
@@ -226,15 +223,6 @@ License: GPL-3.0-or-later WITH GCC-exception-3.1
 def completed(rig: Rig) -> Entry:
     rig.complete()
     return json.loads((rig.out / FILE_NAME).read_text(encoding="utf-8"))
-
-
-def entries(bom: Entry) -> Iterator[Entry]:
-    """Go through all entries at every depth."""
-    pending = [bom["metadata"]["component"], *bom["components"]]
-    while pending:
-        entry = pending.pop()
-        yield entry
-        pending += cast("list[Entry]", entry.get("components", []))
 
 
 def by_name(bom: Entry, name: str) -> Entry:

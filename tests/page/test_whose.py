@@ -14,7 +14,7 @@ import pytest
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.page.interface import Interface
 from biosensor_gateway.page.session import Session, Shutdown
-from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
+from tests.rigs.gateway import recording_going_on
 
 STRAP = '[[device]]\nsensor = "polar_h10"\nunit = "A"\nparticipant = "{}"\nenabled = {}\n'
 BELT = '[[device]]\nsensor = "zephyr"\nunit = "B"\nport = "COM4"\nparticipant = "{}"\n'
@@ -85,15 +85,8 @@ def paused(tmp_path: Path) -> Page:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Generator[Path]:
-    """A recording that goes on."""
-    folder = RecorderFolder(tmp_path)
-    folder.path.mkdir()
-    file = tmp_path / "sub-P01_task-walk.xdf"
-    folder.save(SavedRecording(str(file), (), 1.0))
-    lock = folder.try_lock()
-    assert lock is not None
-    yield file
-    lock.release()
+    with recording_going_on(tmp_path) as file:
+        yield file
 
 
 def test_a_file_called_after_somebody_else_is_asked_about(page: Page, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pylsl
 
+from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from tests.open_outlets import outlets_of
 
 DEADLINE_S = 30.0
@@ -58,3 +59,16 @@ def inlet(source_id: str, *, recover: bool = False) -> pylsl.StreamInlet:
 def visible(source_id: str) -> bool:
     """Tell whether anybody offers a stream of that source_id."""
     return bool(pylsl.resolve_byprop("source_id", source_id, timeout=1.0))
+
+
+@contextlib.contextmanager
+def recording_going_on(state: Path) -> Generator[Path]:
+    """Have a state folder say that a file is being recorded; yield the file, which is not there."""
+    folder = RecorderFolder(state)
+    folder.path.mkdir()
+    file = state / "sub-P01_task-walk.xdf"
+    folder.save(SavedRecording(str(file), (), 1.0))
+    lock = folder.try_lock()
+    assert lock is not None
+    yield file
+    lock.release()

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from typing import IO, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from rcl_interfaces import srv
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -358,3 +360,29 @@ def flow(kept: list[object]) -> Iterator[Callable[..., Flow]]:
     yield begin
     for one in begun:
         one.stop()
+
+
+_numbers = count()
+MakeNode = Callable[..., Node]
+
+
+@pytest.fixture
+def make_node(ros: Ros) -> Iterator[MakeNode]:
+    """Make nodes with parameters, ``__`` in whose names stands for a dot."""
+    assert ros is not None
+    nodes: list[Node] = []
+
+    def make(**overrides: Any) -> Node:
+        given = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
+        node = Node(
+            f"of_tests_{next(_numbers)}",
+            allow_undeclared_parameters=True,
+            automatically_declare_parameters_from_overrides=True,
+            parameter_overrides=given,
+        )
+        nodes.append(node)
+        return node
+
+    yield make
+    for node in nodes:
+        node.destroy_node()

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from itertools import count
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Float32
@@ -32,7 +30,7 @@ from lsl_to_ros.ros_to_lsl.parameters import usage as usage_of_ros_to_lsl
 from lsl_to_ros.topics.publishers import make_publisher
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros
+    from tests.ros.conftest import MakeNode
 
 # What stands on the command line of a node outside of what is ROS's.
 
@@ -223,30 +221,6 @@ def test_what_is_right_or_of_ros_does_not_end_it() -> None:
 def test_names_of_others_are_not_known() -> None:
     for name in ("Chunk_Length", "topic_prefixes", "qos_override.x"):
         assert not node_parameters.is_known(name)
-
-
-_numbers = count()
-MakeNode = Callable[..., Node]
-
-
-@pytest.fixture
-def make_node(ros: Ros) -> Iterator[MakeNode]:
-    assert ros is not None
-    nodes: list[Node] = []
-
-    def make(**overrides: Any) -> Node:
-        node = Node(
-            f"faults_{next(_numbers)}",
-            allow_undeclared_parameters=True,
-            automatically_declare_parameters_from_overrides=True,
-            parameter_overrides=[Parameter(name, value=v) for name, v in overrides.items()],
-        )
-        nodes.append(node)
-        return node
-
-    yield make
-    for node in nodes:
-        node.destroy_node()
 
 
 @pytest.mark.nightly

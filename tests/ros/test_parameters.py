@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from itertools import count
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -17,35 +15,11 @@ from lsl_to_ros.parameters.streams import Parameters, StreamSettings, prefixes
 from lsl_to_ros.topics.publishers import make_publisher
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros
+    from tests.ros.conftest import MakeNode
 
 PLAIN = DeviceIdentity("zephyr", "BH1")
 FULL = DeviceIdentity("empatica_e4", "A1", participant="p01", label="left")
 DEFAULT = StreamSettings(raw=True, chunk=True, chunk_length=128)
-
-_numbers = count()
-MakeNode = Callable[..., Node]
-
-
-@pytest.fixture
-def make_node(ros: Ros) -> Iterator[MakeNode]:
-    assert ros is not None
-    nodes: list[Node] = []
-
-    def make(**overrides: Any) -> Node:
-        given = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
-        node = Node(
-            f"parameters_{next(_numbers)}",
-            allow_undeclared_parameters=True,
-            automatically_declare_parameters_from_overrides=True,
-            parameter_overrides=given,
-        )
-        nodes.append(node)
-        return node
-
-    yield make
-    for node in nodes:
-        node.destroy_node()
 
 
 def set_to(node: Node, **values: Any) -> str:
