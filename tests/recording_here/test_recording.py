@@ -10,7 +10,7 @@ import sys
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -137,6 +137,30 @@ def test_a_stream_that_appears_later_is_not_in_it_which_is_said_unless_it_was_no
         (found,) = late
         assert found.text.startswith("markers (")
         assert "appeared after the recording began, and is not in it" in found.text
+
+
+def test_a_program_that_is_started_again_without_a_source_id_is_not_in_it(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    def outlet() -> pylsl.StreamOutlet:
+        return pylsl.StreamOutlet(pylsl.StreamInfo("marks", "Markers", 1, 0, "string", ""))
+
+    marks = outlet()
+    marks.push_sample(["begin"])
+    seen = sources.presence()
+    seen = replace(seen, visible=(*seen.visible, VisibleStream("marks", "", socket.gethostname())))
+    recording = LocalRecorder(state)
+    recording.start(request_of(tmp_path), lambda: seen)
+    time.sleep(8.0)  # A look for such streams.
+    del marks
+    again = outlet()
+    again.push_sample(["lost"])
+    wait_until(lambda: "late-stream" in codes(recording).values(), "it is said")
+    ended = recording.stop()
+    found = {each.code: each for each in ended.verdict.findings}
+    assert found["late-stream"].text.startswith("marks (")
+    assert (found["no-footer"].level, found["no-footer"].stream) == (Level.WARNING, "marks")
+    assert ended.verdict.colour is Colour.AMBER
 
 
 def test_a_name_that_is_taken_counts_up_or_refuses(

@@ -24,6 +24,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
 from biosensor_common.errors import ConfigError
@@ -41,6 +42,9 @@ from biosensor_gateway.recording.recorder.state import (
 )
 from biosensor_gateway.system import windows_session
 from biosensor_gateway.system.child import own_command, start_beside
+
+if TYPE_CHECKING:
+    import pylsl
 
 _LONGEST = 32768
 
@@ -243,6 +247,7 @@ class _Watch(threading.Thread):
         self._state, self._config = folder.path.parent, folder.lsl_config
         self._known = set(visible)
         self._new: set[VisibleStream] = set()
+        self._uids: set[str] | None = None  # Of the first look.
         self._end = threading.Event()
         self.found: tuple[VisibleStream, ...] = ()
 
@@ -254,9 +259,18 @@ class _Watch(threading.Thread):
 
         while not self._end.wait(_WATCH_EVERY_S):
             infos = search(lambda _found, elapsed_s: elapsed_s >= _WATCH_S or self._end.is_set())
-            seen = {VisibleStream(e.name(), e.source_id(), e.hostname()) for e in infos}
-            self._take(seen)
+            if self._uids is None:
+                self._uids = {each.uid() for each in infos}
+            self._take({self._stream_of(each, self._uids) for each in infos})
         self._take(set())
+
+    def _stream_of(self, info: pylsl.StreamInfo, first: set[str]) -> VisibleStream:
+        stream = VisibleStream(info.name(), info.source_id(), info.hostname())
+        if stream.source_id or stream not in self._known or info.uid() in first:
+            return stream
+        # Recorders cannot go on with a program that was started again if its stream has no
+        # source_id: such a stream is another one, with its uid for a source_id.
+        return replace(stream, source_id=info.uid())
 
     def _take(self, seen: set[VisibleStream]) -> None:
         # Told at the next look, when the agent's status names a sensor that was added.

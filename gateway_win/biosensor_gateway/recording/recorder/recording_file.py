@@ -36,13 +36,17 @@ class FileSummary:
     with_footer: set[int] = field(default_factory=set[int])
     # Streams that LabRecorder cannot record, so they never get a footer.
     without_footer_due: set[int] = field(default_factory=set[int])
+    # Streams without a source_id: LabRecorder loses them for good, and writes no footer, if their
+    # program ends before the recording.
+    may_be_lost: set[int] = field(default_factory=set[int])
     is_whole: bool = False  # Whether it can be read to the end.
 
     @property
     def is_closed(self) -> bool:
         """Whether the recorder finished it."""
         due = self.streams - self.without_footer_due
-        return self.is_whole and bool(self.streams) and due <= self.with_footer
+        some = bool(self.with_footer) if due else bool(self.streams)
+        return self.is_whole and some and due - self.may_be_lost <= self.with_footer
 
     def take(self, chunk: Chunk) -> None:
         """Process one chunk of the file."""
@@ -61,6 +65,8 @@ class FileSummary:
                 return  # nothing is dropped: the verdict tells it
             if not header.is_recordable:
                 self.without_footer_due.add(stream)
+            if not header.source_id:
+                self.may_be_lost.add(stream)
 
 
 def summarize(path: Path) -> FileSummary:

@@ -80,8 +80,10 @@ EXPLANATIONS: Mapping[str, Explanation] = {
     ),
     "no-footer": Explanation(
         "A stream was not closed",
-        "Its last samples may be missing.",
-        "Run `xdf salvage`, and compare the end of the stream with that of the others.",
+        "Its last samples may be missing. A stream without a source_id loses all that its program "
+        "sends after it was started again.",
+        "Give the streams of your programs a source_id. Run `xdf salvage`, and compare the end of "
+        "the stream with that of the others.",
     ),
     "footer-count": Explanation(
         "The footer has a different sample count",
