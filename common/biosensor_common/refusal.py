@@ -159,6 +159,7 @@ class Refusal(Enum):
 
     # Topics that become streams.
     NOT_SENT = _standing("not_sent", "{why}; it is not sent", _ERROR)
+    NO_PUBLISHER = _standing("no_publisher", "nothing publishes it {since}{hint}")
     NO_NUMBER = _standing("no_number", "no numbers yet: its messages contained none")
     OTHER_TYPE = _standing("other_type", "{types} is also published on it; only {sent} is sent")
     MIXED = _standing(

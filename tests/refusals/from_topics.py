@@ -127,6 +127,17 @@ def sent_twice(patch: pytest.MonkeyPatch) -> Shown:
     return entry(topic)
 
 
+@provokes(Refusal.NO_PUBLISHER)
+def no_publisher(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped)
+    node = fake(_missed_s=0.0, _topics={}, get_service_names_and_types=list)
+    known = fake(name="/poses", bridge=topic.bridge)
+    RosToLsl._tell_absent(node, fake(topics={"/pose": []}), known, is_absent=True)
+    (told,) = topic.bridge.refusals.present
+    assert told.sentence == "nothing publishes it yet; is /pose meant?"
+    return entry(topic)
+
+
 @provokes(Refusal.SAME_NAME)
 def same_name(patch: pytest.MonkeyPatch) -> Shown:
     topic = sent(patch, PoseStamped, PoseStamped())
@@ -148,7 +159,7 @@ def lost_on_the_way(patch: pytest.MonkeyPatch) -> Shown:
         losses.take(number)
     known = fake(name="/topic", kind=topic.kind, bridge=topic.bridge, quality="reliable")
     known.follow = lambda publishers: losses.look(len(publishers))
-    RosToLsl._follow(fake(), graph, known)
+    RosToLsl._follow(fake(_tell_absent=lambda *_, **__: None), graph, known)
     return entry(topic)
 
 

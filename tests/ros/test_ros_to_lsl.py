@@ -343,6 +343,7 @@ def test_a_type_that_is_not_installed_is_said_and_the_others_go_on(
     ros.until(lambda: ros_status(ros, "/pose").level == DiagnosticStatus.ERROR, "an error")
     assert "'position'" in ros_status(ros, "/pose").message
     ros.until(lambda: node.count("/levels: nothing publishes it yet") == 1, "a hint")
+    ros.until(lambda: ros_status(ros, "/levels").level == DiagnosticStatus.WARN, "a warning")
     assert node.is_running
 
 

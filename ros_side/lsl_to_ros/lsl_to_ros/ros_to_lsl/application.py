@@ -136,9 +136,6 @@ class RosToLsl(Node):
                 self._follow(graph, each)
             if is_to_ask_all:
                 self._tell_sent_twice(each, others)
-        if monotonic() > self._missed_s:
-            self._missed_s = math.inf
-            self._say_missing(graph)
         now = pylsl.local_clock()
         for each in self._topics.values():
             each.bridge.look(now)
@@ -161,6 +158,7 @@ class RosToLsl(Node):
 
     def _follow(self, graph: Graph, topic: Topic) -> None:
         publishers = graph.publishers(topic.name)
+        self._tell_absent(graph, topic, is_absent=not publishers)
         if topic.kind is None and publishers and not self._is_met(graph, topic.name, publishers):
             # nothing is dropped: it is not subscribed yet
             return
@@ -203,15 +201,23 @@ class RosToLsl(Node):
         needed = LOOKS_TO_MEET if are_named(publishers) else LOOKS_TO_SETTLE
         return self._met[topic] > needed
 
-    def _say_missing(self, graph: Graph) -> None:
-        """Report requested topics without publishers: a name may be misspelt."""
-        published = [name for name in graph.topics if name not in self._topics]
-        for name, each in self._topics.items():
-            if not each.publishers:
-                similar = get_close_matches(name, published, n=1)
-                question = f"; is {similar[0]} meant?" if similar else ""
-                # nothing is dropped: there is nothing yet
-                self._log.inform(f"{name}: nothing publishes it yet{question}")
+    def _tell_absent(self, graph: Graph, topic: Topic, *, is_absent: bool) -> None:
+        """Report a topic that nobody publishes: its name may be misspelt, or its node has ended.
+
+        Events may be published by programs that end after each of them.
+        """
+        bridge = topic.bridge
+        is_missed = is_absent and (bridge.sends_numbers or not bridge.received)
+        hint = ""
+        if is_missed and not bridge.received:
+            published = [name for name in graph.topics if name not in self._topics]
+            similar = get_close_matches(topic.name, published, n=1)
+            hint = f"; is {similar[0]} meant?" if similar else ""
+            if topic.name in dict(self.get_service_names_and_types()):
+                hint = "; it is a service, and only topics are sent"
+        since = "any more" if bridge.received else "yet"
+        is_told = is_missed and not bridge.fault and monotonic() > self._missed_s
+        bridge.refusals.hold(Refusal.NO_PUBLISHER, is_told, since=since, hint=hint)
 
     def _say(self, topic: str, sentence: str) -> None:
         # nothing is dropped: this is where refusals are said

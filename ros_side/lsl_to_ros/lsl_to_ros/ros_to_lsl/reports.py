@@ -103,7 +103,7 @@ def _judge(topic: Topic) -> tuple[bytes, str]:
         return DiagnosticStatus.WARN, "; ".join(each.sentence for each in present)
     if bridge.received:
         return DiagnosticStatus.OK, "sending"
-    return DiagnosticStatus.OK, "no message yet" if topic.publishers else "nobody publishes it"
+    return DiagnosticStatus.OK, "no message yet" if topic.publishers else "nobody publishes it yet"
 
 
 def _level(present: Sequence[Refused]) -> bytes:
