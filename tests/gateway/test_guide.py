@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tomllib
@@ -15,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError
 from biosensor_gateway.cli.trial import Trial, expected_streams, print_verdict, require_writable
 from biosensor_gateway.demo.demonstration import first_devices
 from biosensor_gateway.devices.driver import Found
@@ -349,6 +351,17 @@ def test_a_folder_for_a_try_out_that_cannot_be_is_said_before_anything_is_starte
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match=f"{why}.*choose another --folder"):
         Trial(tmp_path / name, None, opens=False).run(every=False)
+
+
+def test_a_try_out_needs_the_loopback_interface(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreachable(*_: object) -> None:
+        raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+    monkeypatch.setattr(socket, "create_connection", unreachable)
+    with pytest.raises(TransportError, match=r"Network is unreachable.*ip link set lo up"):
+        Trial(tmp_path, None, opens=False).run(every=False)
 
 
 def test_a_folder_for_a_try_out_is_only_looked_at_before(tmp_path: Path) -> None:

@@ -83,7 +83,17 @@ def test_what_the_system_refuses_is_said_with_what_to_do(
     assert words in refusal(OSError(code, "refused", "/home/x/.local/state"))
 
 
+@pytest.mark.parametrize(
+    "error",
+    [BlockingIOError(errno.EAGAIN, "fork"), RuntimeError("can't start new thread")],
+    ids=["program", "thread"],
+)
+def test_a_limit_of_threads_and_programs_is_said(error: OSError | RuntimeError) -> None:
+    assert "ulimit -u" in refusal(error)
+
+
 def test_what_should_not_happen_keeps_its_traceback() -> None:
+    assert refusal(RuntimeError("dictionary changed size during iteration")) == ""
     assert refusal(OSError(errno.EBADF, "bad", "/home/x")) == ""
     # Nothing names what was refused.
     assert refusal(OSError(errno.EACCES, "denied")) == ""

@@ -153,6 +153,11 @@ class Deferred(TyperCommand):
 
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
+_NO_THREAD = "can't start new thread"
+_NO_MORE = (
+    "the system starts no more threads or programs for this user; end other programs, or raise the "
+    "limit (on Linux: ulimit -u, or pids of the container)"
+)
 # What the system refuses because of the file that was named, not because of a defect of ours.
 _REFUSED = frozenset(
     {
@@ -235,8 +240,7 @@ def main() -> None:
         _fail(error, EXIT_FAILED)
     except (OSError, RuntimeError) as error:
         sentence = liblsl.what_is_missing(error)
-        if not sentence and isinstance(error, OSError):
-            sentence = refusal(error)
+        sentence = sentence or refusal(error)
         if not sentence:
             raise
         _fail(sentence, EXIT_FAILED)
@@ -253,8 +257,12 @@ def _refuse_empty(arguments: Sequence[str]) -> None:
             _fail(f"what follows {name!r} is empty; leave it out, or set the variable", EXIT_USAGE)
 
 
-def refusal(error: OSError) -> str:
+def refusal(error: OSError | RuntimeError) -> str:
     """Return a sentence about what the system refuses; empty if the error is a defect of ours."""
+    if isinstance(error, RuntimeError):
+        return _NO_MORE if str(error) == _NO_THREAD else ""
+    if error.errno == errno.EAGAIN:
+        return _NO_MORE
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return f"no more files can be opened: {process_limits.reason()}; {process_limits.fix()}"
     if error.errno not in _REFUSED or error.filename is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +19,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
+from biosensor_common.lsl.api_file import LOOPBACK
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.quantities import waits_for_receivers
 from biosensor_gateway.agent.control import stop_agent
@@ -60,6 +62,7 @@ RECORDED_S, _LEAST_RECORDED_S = 10.0, 3.0
 _START_S, _READY_S = 600.0, 90.0
 """Limits for a program that is loading, whose end is told at once, and then for its sensors."""
 _ASK_S = 0.2
+_LOOPBACK_S = 3.0
 _LOOK_S = 5.0
 _LEAST_TABLE_S = 10.0
 _TABLES = "csv"
@@ -92,6 +95,29 @@ def require_writable(folder: Path) -> None:
                 each.rmdir()
 
 
+def require_loopback() -> None:
+    """Check that programs of this computer can talk to each other.
+
+    Raises
+    ------
+    TransportError
+        ``UNAVAILABLE`` if they cannot, as in a container whose loopback interface is down.
+    """
+    try:
+        with (
+            socket.create_server((LOOPBACK, 0)) as server,
+            socket.create_connection(server.getsockname(), _LOOPBACK_S),
+        ):
+            pass
+    except OSError as error:
+        message = (
+            f"programs of this computer cannot reach each other at {LOOPBACK} "
+            f"({error.strerror or error}); switch its loopback interface on, on Linux with: "
+            "ip link set lo up"
+        )
+        raise TransportError(TransportReason.UNAVAILABLE, message) from error
+
+
 class Trial:
     """One run of ``try``.
 
@@ -120,6 +146,7 @@ class Trial:
             If a program does not start or does not answer, or the folder cannot be written.
         """
         require_writable(self._output_folder)
+        require_loopback()
         devices, left_out = fitting_devices(Room.here()) if every else (first_devices(), "")
         with ExitStack() as stack:
             work = stack.enter_context(
