@@ -15,6 +15,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.xdf import check as check_command
 from biosensor_gateway.cli.xdf import salvage_recording
 from biosensor_gateway.features.offline import compute
+from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Progress
 from biosensor_gateway.recording.export.exporting import Task, export, export_several
@@ -83,6 +84,7 @@ def test_what_would_lack_the_rest_is_refused(growing: Path, way: str) -> None:
     with pytest.raises(ConfigError, match="is still being recorded; end it first: ") as refused:
         WAYS[way](short)
     assert refused.value.reason is ConfigReason.IN_USE
+    assert clicked(str(refused.value)).endswith("; click *Stop recording* first")
     assert list(growing.parent.iterdir()) == [growing]
 
 
