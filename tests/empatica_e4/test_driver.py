@@ -171,6 +171,16 @@ async def test_one_refused_stream_costs_only_itself(world: World, running: Runni
             assert "refuses gsr" in str(run.supervisor.last_error)
 
 
+async def test_what_comes_with_a_refused_stream_is_said_too(world: World, running: Running) -> None:
+    with SteeredE4(world, timing=Timing(burst=1)) as server:
+        server.refuse_stream("ibi")
+        server.refuse_stream("tag")
+        async with running(server.settings) as run:
+            await run.until_more("bvp", rows=4)
+            said = str(run.supervisor.last_error)
+    assert "refuses hr, ibi, tag (the server says" in said
+
+
 async def test_a_server_that_refuses_every_stream_is_left_alone(
     world: World, running: Running
 ) -> None:

@@ -183,7 +183,10 @@ class E4Driver:
             self._talk.tell("pause", "OFF")
         self._emitter.new_epoch()
         info = DeviceInfo(serial_number=self._device.upper())
-        denied = {DATA_NAMES[each]: why for each, why in refused.items() if each in DATA_NAMES}
+        denied = {DATA_NAMES.get(each, each.value): why for each, why in refused.items()}
+        if Stream.IBI in refused:
+            # The server sends heart rates with the intervals.
+            denied[DATA_NAMES[Stream.HR]] = refused[Stream.IBI]
         return Connected(info, denied=denied, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
