@@ -39,6 +39,7 @@ from biosensor_gateway.recording.contents.opening import (
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.participants import compare_file
 from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf.pace import stray_text
 from biosensor_gateway.system.new_file import new_file
 
 SUFFIXES = (".xdf", ".csv")
@@ -228,6 +229,8 @@ def _computed(
     computer = source.new_computer(dict(witnesses), is_uneven=is_uneven)
     if steadied:
         remarks.append(f"{source.name}: {steadied}")
+    if stream.stray:
+        remarks.append(f"{source.name}: {stray_text(len(stream.stray))}; it got one between theirs")
     samples: Samples | None = None
     for samples in blocks:
         yield samples, computer.take(samples.stamps, samples.values)

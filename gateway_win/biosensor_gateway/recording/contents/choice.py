@@ -65,9 +65,9 @@ class Chosen:
     end_s: float
     batch: int = BATCH  # Number of values that exports process at once.
 
-    def samples(self, stream: Stream) -> Iterator[Samples]:
+    def samples(self, stream: Stream, *, as_recorded: bool = True) -> Iterator[Samples]:
         """Yield the samples of one stream in the time range, chunk by chunk."""
-        return stream.blocks(self.begin_s, self.end_s)
+        return stream.blocks(self.begin_s, self.end_s, as_recorded=as_recorded)
 
     def merged(self) -> Iterator[tuple[Stream, Samples]]:
         """Yield chunks of samples of all streams in time order."""

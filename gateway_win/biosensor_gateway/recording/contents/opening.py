@@ -181,7 +181,7 @@ def with_steady_stamps(stream: Stream) -> tuple[Iterator[Samples], str]:
     cuts = None if header.is_markers else cuts_of(given, header)
     pace = None if cuts is None else cuts.pace
     if cuts is None or pace is None or not (pace.standstills or pace.late_first):
-        return stream.blocks(), ""
+        return stream.blocks(as_recorded=False), ""
     why = [f"its clock stood still for {sum(each.count for each in pace.standstills)} samples"]
     why = why if pace.standstills else []
     why += [f"its first {pace.late_first} samples came late"] if pace.late_first else []

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import compress, pairwise
+from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -30,13 +31,19 @@ from biosensor_gateway.recording.xdf.measuring import (
     clock_bounds,
     clock_error,
     is_between,
+    is_exact,
     off_in_part,
     order_error,
 )
+from biosensor_gateway.recording.xdf.pace import STEP_BACK_S, without_stray
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, Curve, RateChange
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 from biosensor_gateway.recording.xdf.stream_rules import ODD_RATE
+
+# A place with more jumps of its stamps has no single ones that are wrong.
+_MOST_LEAPS = 200
+_AROUND_LEAP = 64
 
 
 class Place(NamedTuple):
@@ -70,6 +77,7 @@ class IndexedStream:
     # Arrays instead of a list of places, because a day has millions of chunks.
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
+    _leaps: array[int] = field(default_factory=lambda: array("q"))
     _last: float = 0.0
     _curve: Curve = field(default_factory=Curve)
 
@@ -88,15 +96,44 @@ class IndexedStream:
         start = chunk.end - len(chunk.content) + STREAM_ID_BYTES
         self._bounds.extend((start, chunk.end, len(self.clock_offsets), self.sample_count))
         self._stamps.extend((self._last, first, last))
-        if self.header.is_regular:
-            self._curve.add(block.stamps)
+        finite = block.stamps[np.isfinite(block.stamps)]
+        if len(finite):
+            low, high = float(finite.min()), float(finite.max())
+            self.earliest, self.latest = min(low, self.earliest), max(high, self.latest)
+            if self.header.is_regular:
+                self._curve.add(block.stamps)
+                # Most chunks are shorter than a jump, and cost two comparisons.
+                far_s = max(STEP_BACK_S, 10.0 / self.header.rate)
+                if abs(first - self._last) > far_s or high - low > far_s:
+                    self._note_leap(finite, far_s)
         self._last = last
         self.sample_count += len(block.stamps)
         self.guessed_texts += block.guessed
-        finite = block.stamps[np.isfinite(block.stamps)]
         self.untimed += len(block.stamps) - len(finite)
-        self.earliest = float(finite.min(initial=self.earliest))
-        self.latest = float(finite.max(initial=self.latest))
+
+    def _note_leap(self, stamps: NDArray[np.float64], far_s: float) -> None:
+        """Remember a chunk whose timestamps jump, within it or from the one before."""
+        if len(self._leaps) > 2 * _MOST_LEAPS or is_exact(self.header):
+            return
+        before = [self._last] if self.sample_count else []
+        if np.abs(np.diff(np.concatenate([before, stamps]))).max(initial=0.0) > far_s:
+            self._leaps.extend((self.sample_count, self.sample_count + len(stamps)))
+
+    def stray(self, file: BinaryIO) -> dict[int, float]:
+        """Return timestamps, by the number of the sample, in place of single ones far from all."""
+        found: dict[int, float] = {}
+        if not 0 < len(self._leaps) <= 2 * _MOST_LEAPS:
+            return found
+        for begin, end in zip(self._leaps[::2], self._leaps[1::2], strict=True):
+            first = max(0, begin - _AROUND_LEAP)
+            stamps = self.stamps(file, first, end + _AROUND_LEAP)
+            mended = without_stray(stamps, 1.0 / self.header.rate)
+            found |= {
+                number: stamp
+                for at, stamp in mended.items()
+                if begin <= (number := first + at) < end
+            }
+        return found
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:
         """Add one of `clock_offsets`."""
@@ -113,11 +150,12 @@ class IndexedStream:
 
     def places(self) -> Iterator[Place]:
         """Yield the index entries of all chunks of samples, in the order of the file."""
-        stamps = self._stamps
-        for at in range(len(self._bounds) // 4):
-            start, end, offsets_before, samples_before = self._bounds[4 * at : 4 * at + 4]
-            before, first, last = stamps[3 * at : 3 * at + 3]
-            yield Place(start, end, before, first, last, offsets_before, samples_before)
+        return map(self._place, range(len(self._bounds) // 4))
+
+    def _place(self, at: int) -> Place:
+        start, end, offsets_before, samples_before = self._bounds[4 * at : 4 * at + 4]
+        before, first, last = self._stamps[3 * at : 3 * at + 3]
+        return Place(start, end, before, first, last, offsets_before, samples_before)
 
     def part(self, begin: int, end: int, first: float, last: float) -> IndexedStream:
         """Return the index of the samples from `begin` to before `end`, with these timestamps."""
@@ -139,7 +177,7 @@ class IndexedStream:
     def stamps(self, file: BinaryIO, begin: int, end: int) -> NDArray[np.float64]:
         """Read the timestamps from index `begin` to before `end`."""
         some = [np.empty(0)]
-        for place in compress(self.places(), self._has(begin, end).tolist()):
+        for place in map(self._place, np.flatnonzero(self._has(begin, end)).tolist()):
             at = place.samples_before
             some.append(self.read(file, place).stamps[max(0, begin - at) : end - at])
         return np.concatenate(some)
@@ -151,9 +189,21 @@ class IndexedStream:
         is_in: NDArray[np.bool_] = (behind > begin) & (firsts < end)
         return is_in
 
-    def end_stamps(self) -> NDArray[np.float64]:
-        """Return the first and last timestamp of each chunk, shape (n_chunks, 2), in s."""
-        return np.array(self._stamps).reshape(-1, 3)[:, 1:]
+    def end_stamps(self, stray: Mapping[int, float] = MappingProxyType({})) -> NDArray[np.float64]:
+        """Return the first and last timestamp of each chunk, shape (n_chunks, 2), in s.
+
+        Parameters
+        ----------
+        stray
+            Timestamps in place of recorded ones, by the number of the sample.
+        """
+        found = np.array(self._stamps).reshape(-1, 3)[:, 1:]
+        if stray:
+            firsts = np.array(self._bounds[3::4])
+            for ends, numbers in ((0, firsts), (1, np.append(firsts[1:], self.sample_count) - 1)):
+                is_stray = np.isin(numbers, list(stray))
+                found[is_stray, ends] = [stray[at] for at in numbers[is_stray].tolist()]
+        return found
 
     def read(self, file: BinaryIO, place: Place) -> Block:
         """Read the samples of one chunk.
@@ -280,7 +330,9 @@ class Stream:
             found.append(part)
         return found
 
-    def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
+    def blocks(
+        self, begin_s: float = -np.inf, end_s: float = np.inf, *, as_recorded: bool = True
+    ) -> Iterator[Samples]:
         """Yield the samples from `begin_s` to before `end_s`, chunk by chunk.
 
         Samples with a NaN timestamp are left out.
@@ -289,17 +341,22 @@ class Stream:
         ----------
         begin_s, end_s
             On the recorder's clock, in s.
+        as_recorded
+            Whether also `stray` timestamps are those of the file.
 
         Raises
         ------
         RecordingError
             If the file cannot be read any more.
         """
+        stray = {} if as_recorded else self.stray
         is_all = begin_s == -np.inf and end_s == np.inf
         for place in self._indexed.places():
             if not is_all and self._is_outside(place, begin_s, end_s):
                 continue
             block = self._read(place)
+            if stray:
+                block = self._without(stray, place, block)
             times = self.clock.to_recorder(block.stamps, place.offsets_before)
             is_wanted = np.isfinite(times)
             if not is_all:
@@ -314,6 +371,23 @@ class Stream:
         if begin == 0 and end >= len(block.stamps):
             return block
         return Block(block.stamps[begin:end], block.values[begin:end])
+
+    def _without(self, stray: dict[int, float], place: Place, block: Block) -> Block:
+        begin = max(place.samples_before, self._span[0])
+        here = [at for at in stray if begin <= at < begin + len(block.stamps)]
+        if not here:
+            return block
+        stamps = block.stamps.copy()
+        stamps[np.array(here) - begin] = [stray[at] for at in here]
+        return replace(block, stamps=stamps)
+
+    @cached_property
+    def stray(self) -> dict[int, float]:
+        """Timestamps, by the number of the sample in the file, in place of outliers.
+
+        Such a timestamp of another program is far from those of the samples before and after it.
+        """
+        return {} if self.order_error else self._indexed.stray(self._file)
 
     @cached_property
     def clock_error(self) -> str:
@@ -347,7 +421,7 @@ class Stream:
     @cached_property
     def steps_far_back(self) -> int:
         """How often its time steps back by more than a second, at the ends of chunks."""
-        found = self._indexed.end_stamps()
+        found = self._indexed.end_stamps(self.stray)
         places = zip(found, self._indexed.places(), strict=True)
         if self.clock.restarts:
             times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]
@@ -370,7 +444,7 @@ class Stream:
 
         Within a chunk, timestamps are almost always ascending.
         """
-        found = self._indexed.end_stamps()
+        found = self._indexed.end_stamps(self.stray)
         if self.part_error:
             found = found.ravel()
             bounds = clock_bounds(self.header, self.clock_offsets)

@@ -40,11 +40,13 @@ from biosensor_gateway.recording.participants import (
 )
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.event_rules import pauses_told
+from biosensor_gateway.recording.xdf.pace import stray_text
 from biosensor_gateway.system.new_file import new_place
 
 Watch = Callable[[str, float], Progress]
 """Takes a format and its number of seconds; returns its progress callback."""
 
+_AS_RECORDED = ("csv", "csv-long", "mcap")
 _SUFFIXES = (".gz", ".xdfz", ".xdf")
 
 
@@ -204,6 +206,9 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             yield f"{each.header.title}: {each.clock.unused}"
         for span in each.clock.doubtful_spans:
             yield f"{each.header.title}: {span.text(chosen.contents.begin_s)}"
+        raw = " and ".join(name for name in task.formats if name in _AS_RECORDED)
+        if each.stray and raw:
+            yield f"{each.header.title}: {stray_text(len(each.stray))}, as recorded also in {raw}"
         if why := each.clock_error or each.part_error:
             yield Missing(
                 f"{each.header.title}: {why}, so its time relative to the other streams is unknown"
@@ -376,9 +381,7 @@ def export_several(
     study = None
     if task.output is not None and "bids" in task.formats:
         if len(task.formats) > 1:
-            message = (
-                "a data set can only hold bids; export to other formats with a separate command"
-            )
+            message = "a data set can only hold BIDS; export to the other formats separately"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
         # Brings what writes a data set.
         from biosensor_gateway.recording.export.bids.study import Study  # noqa: PLC0415

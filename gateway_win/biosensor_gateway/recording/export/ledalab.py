@@ -33,11 +33,11 @@ from biosensor_gateway.recording.export.runs import (
     batches,
     gap_text,
     on_line,
-    section,
 )
 from biosensor_gateway.recording.export.tables import MARKERS, file_names, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.measuring import cuts_of, longest_step_s
+from biosensor_gateway.recording.xdf.measuring import longest_step_s
+from biosensor_gateway.recording.xdf.pace import Cuts
 
 CODES = "markers.csv"
 """What the numbers of markers mean."""
@@ -126,12 +126,12 @@ def _write_stream(
     behind_holes = None
     given: Iterator[Samples] = batches(chosen, stream)
     # Of samples with one time, Ledalab would see a single one.
-    runs = on_line(chosen, stream, options.times)
+    runs, cuts = on_line(chosen, stream, options.times)
     if runs is not None:
         given = runs.samples()
         happened = _with_gaps(happened, runs, stream, codes)
     else:
-        behind_holes = _behind_holes(chosen, stream)
+        behind_holes = None if cuts is None else _behind_holes(chosen, stream, cuts)
     with path.open("xb") as file:
         for samples in given:
             values = _in_microsiemens(np.asarray(samples.values)[:, 0], unit)
@@ -166,12 +166,38 @@ def _write_stream(
         )
     for what in told_of.sentences(len(happened)):
         yield f"{stream.header.title}: {what}"
+    for what in _about_times(chosen, stream, runs, cuts):
+        yield f"{stream.header.title}: {what}"
+
+
+def _about_times(
+    chosen: Chosen, stream: Stream, runs: Runs | None, cuts: Cuts | None
+) -> Iterator[str]:
+    """Yield sentences on what was done about times, and on gaps and steps back of recorded ones."""
     if runs is not None:
-        for what in runs.remarks_on_times():
-            yield f"{stream.header.title}: {what}"
+        yield from runs.remarks_on_times()
         if gaps := runs.gaps():
             told = gap_text([each.lost for each in gaps])
-            yield f"{stream.header.title}: {told}; the marker {BAD_GAP} precedes each gap"
+            yield f"{told}; the marker {BAD_GAP} precedes each gap"
+        return
+    lost: list[int] = []
+    back = 0
+    if cuts is not None:
+        lost = [each.lost for each in cuts.holes]
+        back = len(cuts.numbers) - len(lost)
+    elif stream.header.is_regular:
+        last = np.empty(0)
+        for samples in batches(chosen, stream):
+            steps = np.diff(np.concatenate([last, samples.times]))
+            last = samples.times[-1:]
+            gaps = steps[steps > longest_step_s(stream.header)]
+            lost += (np.rint(gaps * stream.header.rate).astype(np.int64) - 1).tolist()
+            back += int(np.count_nonzero(steps < 0))
+    if lost:
+        yield f"{gap_text(lost)}; the column of times steps over them"
+    if back:
+        times = "once" if back == 1 else f"{back} times"
+        yield f"its time steps back {times}, so its samples are not in the order of their times"
 
 
 def _with_gaps(
@@ -228,11 +254,8 @@ class _Told:
             )
 
 
-def _behind_holes(chosen: Chosen, stream: Stream) -> NDArray[np.float64] | None:
-    """Return the times of the samples after gaps; None if single steps show gaps."""
-    cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header, section(chosen))
-    if cuts is None:
-        return None
+def _behind_holes(chosen: Chosen, stream: Stream, cuts: Cuts) -> NDArray[np.float64]:
+    """Return the times of the samples after gaps."""
     places = np.array([each.at for each in cuts.holes], np.int64)
     found: list[NDArray[np.float64]] = []
     done = 0

@@ -16,7 +16,7 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.timing import FittedLine
 from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact, longest_step_s
-from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S
+from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S, Cuts, stray_text
 
 _BATCHES_IN_SECTION = 64
 
@@ -105,20 +105,29 @@ def longest_gap_s(times: Times) -> float:
     return LONGEST_JOINED_S if times is Times.EVEN else 0.0
 
 
-def on_line(chosen: Chosen, stream: Stream, times: Times, *, always: bool = False) -> Runs | None:
+def on_line(
+    chosen: Chosen, stream: Stream, times: Times, *, always: bool = False
+) -> tuple[Runs | None, Cuts | None]:
     """Return the runs of a stream whose rows lie on lines; None if the stamps determine the rows.
 
     Parameters
     ----------
     always
         Also if another program's stamps are only a little inexact.
+
+    Returns
+    -------
+    tuple
+        The runs, and in either case where they begin; None if single steps show it.
     """
     if has_even_times(stream, times):
-        return Runs(chosen, stream, times)
+        runs = Runs(chosen, stream, times)
+        return runs, runs.cuts
     if is_exact(stream.header) or not stream.header.is_regular:
-        return None
+        return None, None
     runs = Runs(chosen, stream, Times.EVEN)
-    return runs if always or runs.is_uneven else None
+    # To find the cuts costs a pass through all samples, so the caller gets them also without runs.
+    return runs if always or runs.is_uneven else None, runs.cuts
 
 
 def has_even_times(stream: Stream, times: Times) -> bool:
@@ -184,7 +193,9 @@ class Runs:
     def is_uneven(self) -> bool:
         """Whether single timestamps are not times of measurement."""
         pace = self.cuts.pace if self.cuts else None
-        return pace is not None and bool(pace.burst > 1 or pace.overlap_s > 0 or pace.standstills)
+        return pace is not None and bool(
+            pace.burst > 1 or pace.overlap_s > 0 or pace.standstills or self.stray
+        )
 
     def pieces(self) -> Iterator[tuple[int, Samples]]:
         """Yield the samples in blocks, each with the number of its run."""
@@ -285,8 +296,7 @@ class Runs:
                 f"ms from the recorded ones{self._why_uneven}"
             )
         if self.stray:
-            stamps = "1 stamp is" if self.stray == 1 else f"{self.stray} stamps are"
-            yield f"{stamps} far from those before and after"
+            yield stray_text(self.stray)
         if self.cuts and self.cuts.pace and (stood := self.cuts.pace.standstills):
             count = sum(each.count for each in stood)
             yield f"its clock stood still for {count} samples, which have the times of the line"

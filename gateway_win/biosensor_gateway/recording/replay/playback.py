@@ -22,6 +22,7 @@ from biosensor_gateway.recording.replay.source import (
     opened,
 )
 from biosensor_gateway.recording.xdf.container import Damage
+from biosensor_gateway.recording.xdf.pace import stray_text
 from biosensor_gateway.settings.places import state_folder
 
 SEARCH_S = 2.0
@@ -174,7 +175,9 @@ def left_out(player: Player) -> Iterator[str]:
             yield f"warning: {name}: {samples} not played, because their stamps are not numbers"
         if each.part_error:
             yield f"warning: {name}: {each.part_error}; those samples are not played"
-        elif each.steps_far_back:
+        elif each.stray:
+            yield f"warning: {name}: {stray_text(len(each.stray))}; sent between their neighbours"
+        if each.steps_far_back and not each.part_error:
             yield (
                 f"warning: {name}: its time steps back {_times(each.steps_far_back)}; the "
                 "following samples are sent immediately, until the earlier time is reached "

@@ -203,7 +203,8 @@ class Player:
 
     def samples(self, stream: Stream) -> Iterator[Samples]:
         """Yield the samples of a stream that are played."""
-        for samples in self._chosen.samples(stream):
+        # The time of a single stamp from the future would never come, and others wait behind it.
+        for samples in self._chosen.samples(stream, as_recorded=bool(stream.part_error)):
             # Those of another clock would be due in years.
             if len(kept := stream.on_clock(samples)):
                 yield kept

@@ -351,6 +351,30 @@ class Cuts:
         )
 
 
+def stray_text(count: int) -> str:
+    """Return the sentence about outliers."""
+    stamps = "1 stamp is" if count == 1 else f"{count} stamps are"
+    return f"{stamps} far from those before and after"
+
+
+def without_stray(stamps: Array, nominal_s: float) -> dict[int, float]:
+    """Return, by index, the timestamps in place of outliers: those between their neighbours.
+
+    Parameters
+    ----------
+    stamps : ndarray of float64, shape (n_samples,)
+        In the order of the file, in s; NaN or infinite where a sample has none.
+    nominal_s
+        Nominal sample period.
+    """
+    is_number = np.isfinite(stamps)
+    if np.count_nonzero(is_number) < 2:
+        return {}
+    is_stray = is_number & _stray(_filled(stamps, is_number), nominal_s)
+    filled = _filled(stamps, is_number & ~is_stray)
+    return {at: float(filled[at]) for at in np.flatnonzero(is_stray).tolist()}
+
+
 def _filled(stamps: Array, is_good: NDArray[np.bool_]) -> Array:
     """Return the timestamps with bad ones replaced by interpolation."""
     if is_good.all():

@@ -305,18 +305,17 @@ class SignalWriter:
         if kind is Kind.EMG and self._write_emg(stream, place):
             return True
         is_eeg = kind is Kind.EEG
-        runs = on_line(self._chosen, stream, self._times, always=is_eeg)
-        cuts = self._cuts_of(stream) if runs is None else runs.cuts
+        runs, cuts = on_line(self._chosen, stream, self._times, always=is_eeg)
         if is_eeg and self._write_eeg(stream, place, cuts, runs):
             self._remark(stream, runs)
             return True
         if runs is not None and self._times is not Times.EVEN and not runs.is_uneven:
-            runs, cuts = None, self._cuts_of(stream)
+            runs = None
+        if runs is None and cuts is not None and (cuts.stray or stream.part_error):
+            # A table leaves out samples far from all others, so that others have their numbers.
+            times = (each.times for each in self._batches(stream))
+            cuts = cuts_of(times, stream.header, section(self._chosen))
         return self._write_table(stream, place, cuts, runs)
-
-    def _cuts_of(self, stream: Stream) -> Cuts | None:
-        times = (each.times for each in self._batches(stream))
-        return cuts_of(times, stream.header, section(self._chosen))
 
     def _write_table(
         self, stream: Stream, place: Place, cuts: Cuts | None, runs: Runs | None

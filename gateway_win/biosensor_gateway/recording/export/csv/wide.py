@@ -44,7 +44,6 @@ from biosensor_gateway.recording.export.tables import (
     unique,
 )
 from biosensor_gateway.recording.export.timing import find_timing
-from biosensor_gateway.recording.xdf.measuring import cuts_of
 
 _MICROSECONDS = 6
 CONTENTS = "streams.json"
@@ -330,11 +329,7 @@ def _member(
     chosen: Chosen, options: ExportOptions, stream: Stream, notes: list[str]
 ) -> _Member | None:
     """Return a stream's part of a table; None, with a note, if it cannot be in one."""
-    runs = on_line(chosen, stream, options.times)
-    if runs is None:
-        cuts = cuts_of((each.times for each in batches(chosen, stream)), stream.header)
-    else:
-        cuts = runs.cuts
+    runs, cuts = on_line(chosen, stream, options.times)
     given = _Member(stream, runs, 0.0).samples(chosen)
     timing = find_timing((each.times for each in given), stream.header, cuts, np.inf)
     if timing is None:
