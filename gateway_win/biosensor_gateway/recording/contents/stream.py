@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from array import array
 from collections.abc import Iterator, Mapping
 from copy import copy
@@ -103,18 +102,18 @@ class IndexedStream:
             if self.header.is_regular:
                 self._curve.add(block.stamps)
                 # Most chunks are shorter than a jump, and cost two comparisons.
-                far_s = max(STEP_BACK_S, 10.0 / self.header.rate)
-                if abs(first - self._last) > far_s or high - low > far_s:
-                    self._note_leap(finite, far_s)
+                if abs(first - self._last) > STEP_BACK_S or high - low > STEP_BACK_S:
+                    self._note_leap(finite)
         self._last = last
         self.sample_count += len(block.stamps)
         self.guessed_texts += block.guessed
         self.untimed += len(block.stamps) - len(finite)
 
-    def _note_leap(self, stamps: NDArray[np.float64], far_s: float) -> None:
+    def _note_leap(self, stamps: NDArray[np.float64]) -> None:
         """Remember a chunk whose timestamps jump, within it or from the one before."""
         if len(self._leaps) > 2 * _MOST_LEAPS or is_exact(self.header):
             return
+        far_s = max(STEP_BACK_S, 10.0 / self.header.rate)
         before = [self._last] if self.sample_count else []
         if np.abs(np.diff(np.concatenate([before, stamps]))).max(initial=0.0) > far_s:
             self._leaps.extend((self.sample_count, self.sample_count + len(stamps)))
@@ -261,7 +260,7 @@ class Stream:
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
         self._file = file
         self._indexed = indexed
-        self._span = 0, sys.maxsize
+        self._span: tuple[int, int] | None = None  # Of a part: its first sample, and its end.
         self.number = number
         self.header: RecordedHeader = indexed.header  # As recorded.
         # Identity, labels, units and roles from the header; for another program's stream, as the
@@ -367,13 +366,13 @@ class Stream:
 
     def _read(self, place: Place) -> Block:
         block = self._indexed.read(self._file, place)
-        begin, end = (max(0, at - place.samples_before) for at in self._span)
-        if begin == 0 and end >= len(block.stamps):
+        if self._span is None:
             return block
+        begin, end = (max(0, at - place.samples_before) for at in self._span)
         return Block(block.stamps[begin:end], block.values[begin:end])
 
     def _without(self, stray: dict[int, float], place: Place, block: Block) -> Block:
-        begin = max(place.samples_before, self._span[0])
+        begin = max(place.samples_before, self._span[0] if self._span else 0)
         here = [at for at in stray if begin <= at < begin + len(block.stamps)]
         if not here:
             return block

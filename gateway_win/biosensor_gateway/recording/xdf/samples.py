@@ -109,6 +109,12 @@ class Constants:
             self._add(block.stamps[begin:end], block.values[begin:end], self._limit_s)
 
     def _add(self, stamps: NDArray[np.float64], values: NDArray[Any], limit_s: float) -> None:
+        first, last = values[0], values[-1]
+        if ((first < last) | (first > last)).all():
+            # The usual case, and the rest costs as much as all else that is judged of a chunk.
+            self._values[:] = self._since[:] = np.nan
+            self._newest = float(stamps[-1])
+            return
         # NaN stands for no value, and is ignored.
         low, high = np.fmin.reduce(values), np.fmax.reduce(values)
         is_one = low == high

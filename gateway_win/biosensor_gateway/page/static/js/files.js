@@ -102,7 +102,7 @@ function Export({ path, isFile }) {
     <form onSubmit=${start} aria-labelledby="export">
       ${formats.map((each) => html`<label class="check"><input type="checkbox" checked=${chosen.has(each)} onChange=${toggle(each)} /> ${MEANT[each] ?? each}</label>`)}
       ${isFile && html`<label class="check alone"><input type="checkbox" checked=${isFolder} onChange=${(event) => setFolder(event.target.checked)} /> all recordings in its folder</label>`}
-      <label class="wide">Save to this folder<input type="text" size="40" placeholder="next to the recording" value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
+      <label class="wide">Save to this folder<input type="text" size="40" placeholder=${chosen.has("bids") && (isFolder || !isFile) ? "of one BIDS data set; if empty, each recording gets its own next to it" : "next to the recording"} value=${output} onInput=${(event) => setOutput(event.target.value)} /></label>
       <label class="wide">Participant, if file name and sensors differ
         <select value=${whose} onChange=${(event) => setWhose(event.target.value)}>
           <option value="">not decided</option>
@@ -126,11 +126,12 @@ export function Files({ act, onClose }) {
   const [doing, setDoing] = useState("");
   const [problem, setProblem] = useState("");
   const path = choice === OTHER ? typed.trim() : choice;
+  const list = () => ask("GET", "/recordings").then((found) => {
+    setFiles(found);
+    return found;
+  });
   useEffect(() => {
-    ask("GET", "/recordings").then((found) => {
-      setFiles(found);
-      setChoice(found[0]?.path ?? OTHER);
-    }, (error) => setProblem(error.message));
+    list().then((found) => setChoice(found[0]?.path ?? OTHER), (error) => setProblem(error.message));
   }, []);
   useEffect(() => { setJudged(null); setSalvaged(null); setHeaderFrom(""); setProblem(""); }, [path]);
   const look = async (what, take, more = {}) => {
@@ -143,6 +144,8 @@ export function Files({ act, onClose }) {
     }
     setDoing("");
   };
+  // The new file is among those to choose from.
+  const salvage = () => look("salvage", (told) => { setSalvaged(told); list().catch(() => {}); }, { header_from: headerFrom.trim() });
   return html`
     <section class="panel" aria-labelledby="files">
       <div class="card-head"><h2 id="files">Recordings</h2><div class="buttons"><button onClick=${onClose}>Close<span class="hidden"> the recordings</span></button></div></div>
@@ -159,7 +162,7 @@ export function Files({ act, onClose }) {
         <div class="buttons">
           <button disabled=${!path || doing !== ""} onClick=${() => look("check", setJudged)}>${doing === "check" ? "Reading …" : "Check it"}</button>
           <button disabled=${!path} onClick=${() => act("POST", "/recordings/open-folder", { path })}>Open folder</button>
-          ${judged?.can_be_salvaged && !salvaged && html`<button disabled=${doing !== ""} onClick=${() => look("salvage", setSalvaged, { header_from: headerFrom.trim() })}>${doing === "salvage" ? "Salvaging …" : "Salvage it"}</button>`}
+          ${judged?.can_be_salvaged && !salvaged && html`<button disabled=${doing !== ""} onClick=${salvage}>${doing === "salvage" ? "Salvaging …" : "Salvage it"}</button>`}
         </div>`}
       ${judged?.can_be_salvaged && !salvaged && html`<label class="wide">Headers from (the full path of another recording of the same streams, if headers are lost)<input type="text" size="48" placeholder="not needed otherwise" disabled=${doing !== ""} value=${headerFrom} onInput=${(event) => setHeaderFrom(event.target.value)} /></label>`}
       ${problem && html`<p class="reason small" role="alert">${worded(problem)}</p>`}

@@ -14,11 +14,11 @@ const STATES = {
   stopped: ["■", "bad", "stopped"],
 };
 
-// A time in a recording.
+// A time in a recording; one before its start has a minus.
 export function clock(seconds) {
-  const whole = Math.floor(seconds);
+  const whole = Math.floor(Math.abs(seconds));
   const two = (value) => String(value).padStart(2, "0");
-  return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+  return `${seconds < 0 ? "−" : ""}${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
 }
 
 // A time of day; of another day with its date.
