@@ -50,6 +50,7 @@ def _signal(
     values: Sequence[Sequence[Any]] | None = None,
     clock: Sequence[tuple[float, float]] | None = None,
     ends: bool = True,
+    chunk: int = CHUNK,
     **header: Any,
 ) -> bytes:
     known: dict[str, Any] = {"kind": "ECG", "rate": RATE, "source_id": f"id{number}"} | header
@@ -58,7 +59,7 @@ def _signal(
         clock = [(float(stamps[0]), 0.0), (float(stamps[-1]), 0.0)]
     parts = [
         made.stream_header(number, name, **known),
-        _chunks(number, stamps.tolist(), rows, known.get("fmt", "float32")),
+        _chunks(number, stamps.tolist(), rows, known.get("fmt", "float32"), chunk),
         *(made.clock_offset(number, *each) for each in clock or ()),
         made.footer(number, len(stamps)) if ends else b"",
     ]
@@ -482,10 +483,10 @@ def _code_page() -> list[bytes]:
     return [header, _chunks(1, _even().tolist(), _wave(COUNT)), made.footer(1, COUNT), marker]
 
 
-def nameless(stamps: Array) -> list[bytes]:
+def nameless(stamps: Array, chunk: int = CHUNK) -> list[bytes]:
     """Return the parts of a recording with a stream without a name."""
     clock = [(BEGIN_S, 0.0), (BEGIN_S + 20, 0.0)]
-    return [_signal(stamps, name="", source_id="", clock=clock), _events()]
+    return [_signal(stamps, name="", source_id="", clock=clock, chunk=chunk), _events()]
 
 
 def _of_one_name() -> list[bytes]:

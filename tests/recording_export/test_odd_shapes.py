@@ -14,6 +14,7 @@ import pytest
 from backports import zstd
 from numpy.typing import NDArray
 
+from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import Replay
 from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.bag.importing import import_bag
@@ -31,7 +32,7 @@ from biosensor_gateway.recording.xdf.container import RecordingError, RecordingR
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.verdict import check
-from tests.recording_export import odd_shapes
+from tests.recording_export import bids_shapes, odd_shapes
 from tests.xdf import xdf_file as made
 from tests.xdf.checking import read
 
@@ -323,3 +324,72 @@ def test_samples_that_a_data_set_leaves_out_are_missing(tmp_path: Path) -> None:
     outcome = export(path, Task(["bids"], Selection()), lambda _name, _s: lambda _done: None)
     assert not outcome.is_whole
     assert any("1600 samples" in each for each in outcome.written[0].notes)
+
+
+def test_a_replay_begins_with_the_signals_though_intervals_are_of_before(tmp_path: Path) -> None:
+    strap = DeviceIdentity("polar_verity_sense", "A1", "P01")
+    agent = DeviceIdentity("gateway", "lab-pc")
+    path = tmp_path / "rec.xdf"
+    ecg, beats = (
+        bids_shapes.times(1300, 130.0),
+        bids_shapes.times(30, 1.0, bids_shapes.BEGIN_S - 20.0),
+    )
+    mark = bids_shapes.marker(1, "baseline", bids_shapes.BEGIN_S - 5.0)
+    parts = {
+        "signal": bids_shapes.ours(
+            1, strap, "ppg", bids_shapes.numbers(1300), ecg, rate=130.0, kind="PPG"
+        ),
+        "intervals": bids_shapes.ours(
+            2, strap, "ibi", bids_shapes.numbers(30), beats, [("RR", "s")], kind="RR"
+        ),
+        "markers": bids_shapes.ours(
+            3, agent, "markers", [mark], [bids_shapes.BEGIN_S - 5.0], fmt="string", kind="Markers"
+        ),
+    }
+    for names, begin_s in [
+        (("signal", "intervals"), bids_shapes.BEGIN_S),
+        (("signal", "intervals", "markers"), bids_shapes.BEGIN_S - 5.0),
+        (("intervals",), bids_shapes.BEGIN_S - 20.0),
+    ]:
+        path.write_bytes(made.xdf(*(parts[each] for each in names)))
+        with opened(path) as contents:
+            player = Player(choose(contents, Selection()), PlayOptions(), "hash")
+            assert player.begin_s == pytest.approx(begin_s)
+            sizes = {"signal": 1300, "intervals": 30, "markers": 1}
+            assert _played(player) == [sizes[each] for each in names]
+
+
+FAR_S = 200_000.0
+
+
+@pytest.mark.parametrize("chunk", [1, 100, odd_shapes.COUNT])
+@pytest.mark.parametrize(
+    "far",
+    [
+        {0: FAR_S},
+        {0: -FAR_S},
+        {1300: FAR_S},
+        {1350: 5.0},
+        {1399: FAR_S, 1400: FAR_S, 1401: FAR_S},
+        {500: FAR_S, 1700: -800.0},
+        {odd_shapes.COUNT - 1: FAR_S},
+    ],
+)
+def test_nothing_waits_for_the_time_of_a_stamp_far_from_all_others(
+    far: dict[int, float], chunk: int, tmp_path: Path
+) -> None:
+    stamps = odd_shapes.BEGIN_S + np.arange(odd_shapes.COUNT) / odd_shapes.RATE
+    expected = stamps.copy()
+    for at, away_s in far.items():
+        stamps[at] += away_s
+    path = tmp_path / "rec.xdf"
+    path.write_bytes(made.xdf(*odd_shapes.nameless(stamps, chunk=chunk)))
+    with opened(path) as contents:
+        player = Player(choose(contents, Selection()), PlayOptions(), "hash")
+        (told,) = (each for each in playback.left_out(player) if "far from those" in each)
+        assert sorted(player.streams[0].stray) == sorted(far)
+        times = np.concatenate([each.times for each in player.samples(player.streams[0])])
+    period_s = 1 / odd_shapes.RATE
+    assert times == pytest.approx(expected.tolist(), abs=1.01 * period_s)
+    assert player.end_s - player.begin_s == pytest.approx(20.0, abs=2.1 * period_s)
+    assert f"{len(far)} stamp" in told

@@ -34,7 +34,7 @@ from biosensor_gateway.recording.xdf.measuring import (
     off_in_part,
     order_error,
 )
-from biosensor_gateway.recording.xdf.pace import STEP_BACK_S, without_stray
+from biosensor_gateway.recording.xdf.pace import FEW_ASTRAY, STEP_BACK_S, without_stray
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, Curve, RateChange
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
@@ -130,7 +130,8 @@ class IndexedStream:
             found |= {
                 number: stamp
                 for at, stamp in mended.items()
-                if begin <= (number := first + at) < end
+                # Not near the ends of what was read, where a stream seems to begin and to end.
+                if begin - FEW_ASTRAY <= (number := first + at) < end + FEW_ASTRAY
             }
         return found
 

@@ -308,7 +308,8 @@ class Cuts:
         self.holes += [
             replace(hole, at=at) for hole in pace.holes if (at := self._begin + hole.at) > last
         ]
-        last = self.stray[-1] if self.stray else -1
+        # Where a section begins is not where the stream does.
+        last = self.stray[-1] if self.stray else self._begin + FEW_ASTRAY - 1 if self._begin else -1
         self.stray += [each for at in pace.stray if (each := self._begin + at) > last]
         self._settle(section, pace, settled)
         pace = replace(pace, standstills=tuple(self._standstills))
@@ -384,7 +385,7 @@ def _filled(stamps: Array, is_good: NDArray[np.bool_]) -> Array:
 
 
 def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
-    """Find timestamps that leave the line for a few samples, also at the very end."""
+    """Find timestamps that leave the line for a few samples, also at the very start and end."""
     is_stray = np.zeros(len(stamps), bool)
     steps = np.abs(np.diff(stamps))
     # Not by the header alone, which may be about seconds where the stamps are about milliseconds.
@@ -403,6 +404,8 @@ def _stray(stamps: Array, nominal_s: float) -> NDArray[np.bool_]:
             is_last = at + FEW_ASTRAY >= len(stamps) > 2 * FEW_ASTRAY
             if is_last and away_s > NO_PAUSE_S:
                 is_stray[at:] = True
+            elif at <= FEW_ASTRAY < len(stamps) // 2 and away_s > NO_PAUSE_S:
+                is_stray[:at] = True
     return is_stray
 
 
