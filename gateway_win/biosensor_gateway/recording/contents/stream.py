@@ -126,10 +126,10 @@ class IndexedStream:
         for begin, end in zip(self._leaps[::2], self._leaps[1::2], strict=True):
             first = max(0, begin - _AROUND_LEAP)
             stamps = self.stamps(file, first, end + _AROUND_LEAP)
-            mended = without_stray(stamps, 1.0 / self.header.rate)
+            replaced = without_stray(stamps, 1.0 / self.header.rate)
             found |= {
                 number: stamp
-                for at, stamp in mended.items()
+                for at, stamp in replaced.items()
                 # Not near the ends of what was read, where a stream seems to begin and to end.
                 if begin - FEW_ASTRAY <= (number := first + at) < end + FEW_ASTRAY
             }
