@@ -75,10 +75,7 @@ def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
 def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     held, footer = measured.stream.sample_count, measured.stream.footer
     if footer is None and not measured.stream.header.source_id:
-        text = (
-            "it has no footer: its program ended before the recording did, and since the stream "
-            "has no source_id, what another start of the program sends is not recorded"
-        )
+        text = "it has no footer: its program ended before the recording did"
         yield Level.WARNING, "no-footer", text
     elif footer is None:
         text = "it has no footer: the recorder did not close it, so its end may be missing"
