@@ -35,8 +35,8 @@ SIMULATED = ("--simulate", SENSOR)
 
 
 def only_sentence(ended: subprocess.CompletedProcess[str], code: int) -> str:
-    (line,) = ended.stdout.splitlines()
-    assert ended.returncode == code, line
+    line, *more = ended.stdout.splitlines()
+    assert (more, ended.returncode) == ([], code), ended.stdout
     assert line.startswith("biosensor-gateway: ")
     return line
 

@@ -88,6 +88,15 @@ def test_what_would_lack_the_rest_is_refused(growing: Path, way: str) -> None:
     assert list(growing.parent.iterdir()) == [growing]
 
 
+def test_without_a_home_folder_files_can_be_read(
+    growing: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (STATE_VARIABLE, "HOME", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.getuid", lambda: 2**31 - 7, raising=False)
+    _export(growing)
+
+
 def test_the_others_of_a_study_are_exported(growing: Path, tmp_path: Path) -> None:
     other = tmp_path / "sub-P08" / "other.xdf"
     other.parent.mkdir()

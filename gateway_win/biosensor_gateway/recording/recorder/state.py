@@ -276,18 +276,15 @@ def is_going_on(path: Path) -> bool:
     )
     from biosensor_gateway.settings.places import state_folder  # noqa: PLC0415 - see above
 
-    file = file_going_on(state_folder())
-    if file is None or (path.absolute() != file and not _is_same(path, file)):
+    try:
+        state = state_folder()
+        file = file_going_on(state)
+        if file is None or not path.samefile(file):
+            return False
+    except (ConfigError, OSError):  # nothing is dropped: no folder or no file, so no recording
         return False
     # A window that was closed by hand tells nobody.
-    return RecorderFolder(state_folder()).is_running or not summarize(file).is_closed
-
-
-def _is_same(path: Path, other: Path) -> bool:
-    try:
-        return path.samefile(other)
-    except OSError:
-        return False
+    return RecorderFolder(state).is_running or not summarize(file).is_closed
 
 
 def require_ended(path: Path) -> None:
