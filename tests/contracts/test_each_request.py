@@ -224,10 +224,13 @@ _unspoilt: dict[str, tuple[list[str], set[str]]] = {}
 manners, so it is tried once."""
 _ASKED_NOTHING = ("emotibit", "line_sensor", "acme_band")
 """They send by themselves, or are asked by UDP broadcast, where lost requests are usual."""
+_ASKED_ALIKE = ("shimmer:emg", "shimmer:imu")
+"""Their requests are those of `shimmer`, with other bits."""
 ASKED = [
     name
     for name in NAMES
-    if not (is_recording(name) or class_of(name).only_advertises or name.startswith(_ASKED_NOTHING))
+    if not (is_recording(name) or class_of(name).only_advertises)
+    and not name.startswith((*_ASKED_NOTHING, *_ASKED_ALIKE))
 ]
 
 
