@@ -13,9 +13,9 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import source_id
-from biosensor_common.quantities import NOT_PHYSICAL, Unit
+from biosensor_common.quantities import NOT_PHYSICAL, ContentType, MessageType, Unit
 from biosensor_common.refusal import LATELY_S, Refusals
-from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
+from biosensor_common.spec import FROM_DEVICE, ChannelSpec, DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_gateway.agent.device_set import Device
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
@@ -268,7 +268,10 @@ class _Sent:
         self.sink = DeviceSink(DeviceIdentity(sensor, "1"), declaration(sensor), self.time)
         self.rows: dict[str, list[list[float]]] = {}
         self.sink.tap = self._take
-        self.sink.open(DeviceInfo(), {})
+        streams = self.sink.spec.streams
+        self.sink.open(
+            DeviceInfo(), {each.data_name: 100.0 for each in streams if each.rate == FROM_DEVICE}
+        )
 
     def emit(self, data_name: str, samples: ArrayLike) -> None:
         """Emit samples of now."""
@@ -299,6 +302,38 @@ def test_what_has_a_physical_unit_has_bounds_or_says_why_not(channel: ChannelSpe
     assert channel.unit not in set(Unit) or (channel.plausible is None) == (
         channel.unit in NOT_PHYSICAL
     )
+
+
+BOUNDED = [
+    pytest.param(name, stream, id=f"{name}/{stream.data_name}")
+    for name in declaration_names()
+    for stream in declaration(name).streams
+    if any(channel.bounds for channel in stream.channels)
+]
+
+
+@pytest.mark.parametrize(("sensor", "stream"), BOUNDED)
+def test_each_bound_of_each_declaration_is_kept(sensor: str, stream: StreamSpec) -> None:
+    usual = [sum(each.bounds) / 2 if each.bounds else 0.0 for each in stream.channels]
+    for column, channel in enumerate(stream.channels):
+        if channel.bounds is None:
+            continue
+        low, high = channel.bounds
+        if stream.message_type is MessageType.UINT8:
+            high = min(high, 255.0)
+        # Integers have no value between a bound and the next whole number.
+        step = max(1.0, 1e-3 * max(abs(low), abs(high)))
+        for value in (low - step, high + step, low, high):
+            sent, row = _Sent(sensor), usual.copy()
+            row[column] = value
+            sent.emit(stream.data_name, [row])
+            told = [each[column] for each in sent.rows.get(stream.data_name, ())]
+            is_kept = low <= value <= high
+            # Beats that follow each other too fast are refused for another reason.
+            assert (value in told) is is_kept or stream.content_type is ContentType.RR
+            assert sent.counters(stream.data_name).refused == (value not in told)
+            assert sent.status().startswith(f"{stream.data_name}: ") is (value not in told)
+            sent.sink.close()
 
 
 def test_bounds_without_a_value_between_them_are_none() -> None:
