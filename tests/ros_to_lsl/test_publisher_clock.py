@@ -217,6 +217,38 @@ def test_a_sawtooth_of_half_a_second_is_noticed_on_a_topic_that_is_slow(
     assert clock.state is ClockState.BEHIND
 
 
+@pytest.mark.parametrize("rate", [0.5, 1, 2])
+@pytest.mark.parametrize("slow", [0.005, 0.01, 0.025])
+def test_a_clock_that_begins_to_run_slow_is_noticed_after_four_late_messages(
+    slow: float, rate: float
+) -> None:
+    clock, chance = PublisherClock(), random.Random(4)
+    believed = 0
+    for number in range(round(60 * rate)):
+        passed_s = number / rate
+        true_ns = NOW_NS + round(passed_s * NS_PER_S)
+        late_s = slow * max(0.0, passed_s - 20)
+        arrival_ns = true_ns + MILLISECOND + round(chance.uniform(0, 2) * MILLISECOND)
+        clock.observe(true_ns - round(late_s * NS_PER_S), arrival_ns)
+        believed += late_s > WAY_S and clock.state is ClockState.SYNCHRONISED
+    assert clock.state is ClockState.BEHIND
+    assert believed <= 3 + 2 * (rate > 1)
+
+
+@pytest.mark.parametrize("begin_s", [0, 7, 20])
+@pytest.mark.parametrize("rate", [1, 20])
+def test_the_edge_of_a_clock_that_is_set_again_and_again_is_never_ahead(
+    rate: int, begin_s: float
+) -> None:
+    clock = PublisherClock()
+    for number in range(200 * rate):
+        passed_s = number / rate
+        true_ns = NOW_NS + round(passed_s * NS_PER_S)
+        late_s = 0.5 * ((passed_s + begin_s) % 30) / 30
+        clock.observe(true_ns - round(late_s * NS_PER_S), true_ns + MILLISECOND)
+        assert clock.edge_s > 0
+
+
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.45])
 def test_a_clock_that_is_set_to_and_fro_is_not_called_synchronised(share: float) -> None:
     clock = PublisherClock()

@@ -32,6 +32,9 @@ runs slow and is set again and again."""
 EVEN_S, EVEN_MOMENTS, EVEN_FOR_S, APART_S = 0.005, 3, 2.0, 0.15
 """If messages that come apart, of so many moments in a row and over so long, are late by the same
 to within 5 ms, the clock was set: of a topic of up to 5 Hz, stamps need not step back then."""
+GROWING_MOMENTS = 4
+"""If so many moments are later each by the same more, the clock runs slow. One more than above,
+because a line through three delays of a network is more often found by chance."""
 MOST_FALLS = 2
 """A clock that was right and fell behind so often is set again and again: it stays untrusted."""
 _PERIOD_S = 1.0
@@ -72,6 +75,7 @@ class PublisherClock:
         self._first_delay_ns = self._first_arrival_ns = 0
         self._envelope: LowerEnvelope | None = None
         self._lowest = (0.0, math.inf)
+        self._least_s = 0.0
         self._newest_s = self._period_begin_s = 0.0
         self._falls = self._moment = 0
         self._last_ns = 0, 0
@@ -99,9 +103,9 @@ class PublisherClock:
             return math.nan
         if self._was_right and self.state is ClockState.BEHIND:
             return max(self._delays)
-        return self._first_delay_ns / NS_PER_S + min(
-            self._envelope.at(self._newest_s), self._lowest[1]
-        )
+        height_s = min(self._envelope.at(self._newest_s), self._lowest[1])
+        # A line through the delays of a clock that was set would go on below all of them.
+        return self._first_delay_ns / NS_PER_S + max(height_s, self._least_s)
 
     @property
     def bound_s(self) -> float:
@@ -129,6 +133,7 @@ class PublisherClock:
         height_s = (delay_ns - self._first_delay_ns) / NS_PER_S
         delay_s = delay_ns / NS_PER_S
         self._newest_s = max(self._newest_s, passed_s)
+        self._least_s = min(self._least_s, height_s)
         if height_s < self._lowest[1]:
             self._lowest = passed_s, height_s
         if passed_s - self._period_begin_s > _PERIOD_S and self._envelope is not None:
@@ -158,17 +163,21 @@ class PublisherClock:
 
     @property
     def _is_evenly_late(self) -> bool:
-        """Whether the newest moments were late by the same."""
-        for_s, low_s, high_s = 0.0, math.inf, -math.inf
-        for moments, (lasts_s, delay_s) in enumerate(
-            zip(reversed(self._lasts_s), reversed(self._delays), strict=True), 1
-        ):
-            low_s, high_s = min(low_s, delay_s), max(high_s, delay_s)
-            is_apart = moments == 1 or lasts_s > APART_S
-            if low_s <= WAY_S or high_s - low_s > EVEN_S or not is_apart:
+        """Whether the newest moments were late by the same, or more and more so at an even pace."""
+        for_s = 0.0
+        ages_s: list[float] = []
+        delays: list[float] = []
+        for lasts_s, delay_s in zip(reversed(self._lasts_s), reversed(self._delays), strict=True):
+            if delay_s <= WAY_S or (delays and lasts_s <= APART_S):
                 return False
-            if moments >= EVEN_MOMENTS and for_s >= EVEN_FOR_S:
-                return True
+            ages_s.append(for_s)
+            delays.append(delay_s)
+            if len(delays) >= EVEN_MOMENTS and for_s >= EVEN_FOR_S:
+                is_growing = len(delays) >= GROWING_MOMENTS and _grows_evenly(ages_s, delays)
+                if is_growing or max(delays) - min(delays) <= EVEN_S:
+                    return True
+                if len(delays) >= GROWING_MOMENTS:
+                    return False
             for_s += lasts_s
         return False
 
@@ -199,6 +208,7 @@ class PublisherClock:
     def _begin(self, stamp_ns: int, arrival_ns: int) -> None:
         self._first_delay_ns, self._first_arrival_ns = arrival_ns - stamp_ns, arrival_ns
         self._envelope, self._lowest = LowerEnvelope(0.0), (0.0, math.inf)
+        self._least_s = 0.0
         self._newest_s = self._period_begin_s = 0.0
 
     def look(self, now_ns: int) -> None:
@@ -230,6 +240,16 @@ class PublisherClock:
                 self.state = ClockState.SYNCHRONISED
             elif self.state is ClockState.UNKNOWN and self._newest_s > PATIENCE_S:
                 self.state = _late_state(self.edge_s)
+
+
+def _grows_evenly(ages_s: Sequence[float], delays: Sequence[float]) -> bool:
+    """Whether delays, from the newest to the oldest, are on a line that rises with time."""
+    slope = (delays[0] - delays[-1]) / ages_s[-1]
+    apart = (
+        abs(delay_s - delays[0] + slope * age_s)
+        for age_s, delay_s in zip(ages_s, delays, strict=True)
+    )
+    return slope > 0 and max(apart) <= EVEN_S
 
 
 def _late_state(edge_s: float) -> ClockState:
