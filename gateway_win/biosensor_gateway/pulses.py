@@ -70,6 +70,7 @@ class Beat(NamedTuple):
 
     stamp: float  # Stamp of the sample at the apex.
     apex_s: float  # Time of the apex, interpolated between samples.
+    doubtful_s: float = 0.0  # For so long before it, beats may be none: the signal has grown.
 
 
 class Polarity:

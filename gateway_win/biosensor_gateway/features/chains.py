@@ -13,6 +13,7 @@ from biosensor_gateway.features import parameters as at
 from biosensor_gateway.features import quality
 from biosensor_gateway.features.breathing import BR_QUALITY, Breathing
 from biosensor_gateway.features.heart import HR_QUALITY, Heart
+from biosensor_gateway.features.hidden_beats import ECG_SHAPE, PPG_SHAPE, HiddenBeats
 from biosensor_gateway.features.r_peaks import RPeaks
 from biosensor_gateway.features.runs import (
     BR_STATE,
@@ -109,14 +110,22 @@ class _EachSecond:
 class _Beating:
     """Finds beats in a waveform, and computes their features."""
 
-    def __init__(self, find: RPeaks | PulsesOfAnyRate, trust: quality.Quality) -> None:
-        self._find, self._heart = find, Heart(trust)
+    def __init__(
+        self, find: RPeaks | PulsesOfAnyRate, hidden: HiddenBeats, trust: quality.Quality
+    ) -> None:
+        self._find, self._hidden, self._heart = find, hidden, Heart(trust)
         self._apex_s = math.nan
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         events: list[Event] = []
+        self._hidden.take(stamps, values)
         for beat in self._find.take(stamps, values):
-            events += self._heart.beat(beat.stamp, beat.apex_s - self._apex_s)
+            if beat.doubtful_s:
+                self._heart.forget(beat.doubtful_s)
+                self._apex_s = math.nan
+            hides_beat = self._hidden.is_before(beat.stamp)
+            interval_s = beat.apex_s - self._apex_s
+            events += self._heart.beat(beat.stamp, interval_s, hides_beat=hides_beat)
             self._apex_s = beat.apex_s
         return events
 
@@ -124,7 +133,9 @@ class _Beating:
 def _heart(content_type: str, find: RPeaks | PulsesOfAnyRate, rate: float) -> Stage:
     judge = quality.Quality(content_type, rate)
     state = State(HR_STATE, "hr_live", HR_QUALITY, at.INTERVAL_S[1], trust_at=3)
-    return _EachSecond(rate, judge, _Beating(find, judge), state)
+    shape = ECG_SHAPE if content_type == ContentType.ECG else PPG_SHAPE
+    beating = _Beating(find, HiddenBeats(rate, shape), judge)
+    return _EachSecond(rate, judge, beating, state)
 
 
 def _breath(rate: float) -> Stage:

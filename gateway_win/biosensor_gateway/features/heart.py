@@ -62,6 +62,7 @@ class _Interval(NamedTuple):
     stamp: float
     length_s: float
     is_valid: bool
+    hides_beat: bool
 
 
 class Trust(Protocol):
@@ -90,7 +91,9 @@ class Heart:
         self._begin: float | None = None
         self._stamp = self._before = NOTHING
 
-    def beat(self, stamp: float, interval_s: float | None = None) -> list[Event]:
+    def beat(
+        self, stamp: float, interval_s: float | None = None, *, hides_beat: bool = False
+    ) -> list[Event]:
         """Take a beat, and return its events.
 
         Parameters
@@ -99,22 +102,32 @@ class Heart:
             Of its apex; later than the previous one.
         interval_s
             Since the previous beat, NaN if there is none; None to compute it from the stamps.
+        hides_beat
+            Whether there seems to be a beat in between that was left out.
         """
         if interval_s is None:
             interval_s = stamp - self._stamp
         self._stamp = stamp
         if math.isnan(interval_s):
-            self._begin = stamp
+            if self._begin is None:
+                self._begin = stamp
             return [Event("beats", stamp, (NOTHING, 0.0))]
         if self._begin is None:
             self._begin = stamp - interval_s
-        wrong = is_artefact(interval_s, self._before)
+        wrong = hides_beat or is_artefact(interval_s, self._before)
         self._before = interval_s
-        self._kept.append(_Interval(stamp, interval_s, not wrong))
+        self._kept.append(_Interval(stamp, interval_s, not wrong, hides_beat))
         while self._kept[0].stamp <= stamp - max(at.HRV_WINDOWS_S):
             self._kept.popleft()
         events = [Event("beats", stamp, (interval_s, float(wrong)))]
         return events + self._rate() + self._variability()
+
+    def forget(self, seconds: float) -> None:
+        """Forget the intervals of the last seconds, which may not be those of the heart."""
+        since = self._stamp - seconds
+        # nothing is dropped: hr_live_quality says how few are left
+        self._kept = deque(each for each in self._kept if each.stamp <= since)
+        self._before = NOTHING
 
     def _quality(self, window_s: float) -> float:
         """Return the signal's quality in a window that ends now; NaN if unknown."""
@@ -140,7 +153,9 @@ class Heart:
             return []  # nothing is dropped: hr_live_quality says how few there are
         rate = _rate_of(taken)
         covered = _covered(taken, self._stamp, window_s)
-        if abs(_rate_of(last) - rate) > at.HR_APART_PER_MIN:
+        hidden = sum(each.hides_beat for each in last)
+        is_apart = abs(_rate_of(last) - rate) > at.HR_APART_PER_MIN
+        if is_apart or hidden >= at.HIDDEN_LEAST:
             # A heart that paused, or beats that were missed or invented: no interval tells which.
             quality = min(quality, at.HR_APART_QUALITY) if quality >= 0 else quality
         beside = (float(len(taken)), len(valid) / len(last), covered, quality, NOTHING)

@@ -72,6 +72,9 @@ PEAKS_KEPT = 8
 """[1]_: of which medians are taken."""
 GROWN_LAST, GROWN_TIMES = 3, 8.0
 """Of so many beats, two with so many times the usual energy are of a signal that has grown."""
+HUGE_TIMES, HUGE_IN_A_ROW, HUGE_APART_S = 50.0, 3, 2.5
+"""With so many times the energy, so many peaks that are no further apart than the beats of the
+slowest heart are its beats, whatever was called a beat between them."""
 LEARNING_S, LEARNING_ALIKE, LEARNING_ARTEFACTS = (3.0, 8.0), 0.1, 2
 """[1]_ learns from 8 s; the largest peaks of each second, as there. Shorter where none of them has
 less than this share of the largest; else, so many may be artefacts, and the next one counts."""
@@ -102,6 +105,15 @@ long intervals, of which the second is like the one before."""
 HR_APART_PER_MIN, HR_APART_QUALITY = 3.0, 0.4
 """By how much the rate of all intervals may differ from that of those which are taken, and above
 what the quality is not if it does."""
+HIDDEN_SHARE, HIDDEN_ALIKE, HIDDEN_EARLY_ALIKE = 0.1, 0.9, 0.75
+"""Which share of the size of a beat a wave between two of them has, and how much it correlates with
+them, to be a beat that was left out; less if it is early, on the slope of a T wave."""
+NARROW_S, NARROW_SHARE = 0.03, 0.75
+"""A QRS complex of which so much is within this time of its apex is narrow: no T wave correlates
+with it by more than 0.6. Of others, no early wave is a beat."""
+HIDDEN_LEAST, HIDDEN_KEPT_S, HIDDEN_SLOW_S = 2, 5.0, 1.2
+"""One in a window may be noise; how long ago the first of two beats may be; and from which interval
+on the waves of a beat come later, by the square root, as the QT interval (Bazett 1920)."""
 HR_QUALITY_AGE_S = 1.5
 """How old the newest quality of a window may be; there is one every second."""
 HRV_WINDOWS_S = (30.0, 60.0, 300.0)

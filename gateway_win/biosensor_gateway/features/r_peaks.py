@@ -8,6 +8,7 @@ unfiltered signal.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from statistics import median
 from typing import NamedTuple
 
@@ -118,6 +119,8 @@ class _Hamilton:
         self._begin_again(0)
         self._last: _Peak | None = None
         # nothing is dropped: a memory of beats
+        self._places: deque[int] = deque(maxlen=at.GROWN_LAST + 1)
+        # nothing is dropped: a memory of beats
         self._intervals: deque[float] = deque(maxlen=at.PEAKS_KEPT)
 
     def _begin_again(self, place: int) -> None:
@@ -127,6 +130,7 @@ class _Hamilton:
         self._beats: deque[float] = deque(maxlen=at.PEAKS_KEPT)
         # nothing is dropped: a memory of noise
         self._noise: deque[float] = deque([0.0], maxlen=at.PEAKS_KEPT)
+        self._huge: list[_Peak] = []
         self._passed_over: list[_Peak] = []
 
     def take(self, peak: _Peak) -> list[Beat]:
@@ -203,12 +207,38 @@ class _Hamilton:
             self._intervals.append(peak.place - self._last.place)
         self._last = peak
         self._beats.append(peak.energy)
+        self._places.append(peak.place)
         newest = list(self._beats)[-at.GROWN_LAST :]
         grown = [each for each in newest if each > at.GROWN_TIMES * median(self._beats)]
         if len(grown) > 1:
             # The signal is larger from now on; compared with its beats before, T waves are beats.
-            # nothing is dropped: a memory of beats
-            self._beats.clear()
-            self._beats.extend(grown)
+            since = self._places[0]
+            return self._begin_with(peak, grown, (peak.place - since) / self._rate)
+        if self._is_among_noise(peak):
+            huge = [each.energy for each in self._huge]
+            return self._begin_with(peak, huge, at.HR_WINDOW_S)
         self._passed_over = [each for each in self._passed_over if each.place > peak.place]
         return [peak.beat]
+
+    def _begin_with(self, peak: _Peak, energies: Sequence[float], doubtful_s: float) -> list[Beat]:
+        """Return the beat that shows that the signal has grown; compare with larger ones now."""
+        # nothing is dropped: a memory of beats
+        self._beats.clear()
+        self._beats.extend(energies)
+        # nothing is dropped: a memory of intervals, which may be those of noise
+        self._intervals.clear()
+        self._passed_over, self._huge = [], []
+        return [peak.beat._replace(doubtful_s=doubtful_s)]
+
+    def _is_among_noise(self, peak: _Peak) -> bool:
+        """Whether this beat and the ones before it that are like it are the only true ones.
+
+        After a slow heart's signal has grown a hundredfold, there is more noise than beats.
+        """
+        if peak.energy <= at.HUGE_TIMES * median(self._beats):
+            return False
+        most = at.HUGE_APART_S * self._rate
+        if self._huge and peak.place - self._huge[-1].place > most:
+            self._huge = []
+        self._huge = [*self._huge, peak][-at.HUGE_IN_A_ROW :]
+        return len(self._huge) == at.HUGE_IN_A_ROW
