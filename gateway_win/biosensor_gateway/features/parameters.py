@@ -145,7 +145,7 @@ BREATH_HYSTERESIS = 0.3
 BREATH_BLOCK_S, BREATH_BLOCKS = 3.0, 7
 """How long the signal is looked at to say how far it moves, and of how many of these the median is
 taken."""
-BREATH_BLOCKS_LONG, BREATH_LONG_SHARE = 24, 0.8
+BREATH_BLOCKS_LONG, BREATH_LONG_SHARE = 24, 0.55
 """The upper quartile of so many blocks, 72 s, outlasts a breath that is held for 50 s."""
 BREATH_NOISE_TIMES, BREATH_NOISE_SHARE = 6.0, 0.6
 """A turn is this many standard deviations of noise, but this share of the usual span is enough."""
