@@ -166,7 +166,7 @@ def _write_ecg(
             file.writelines(repeat(b"NaN\n", empty[number]))
             for _, samples in parts:
                 values = np.asarray(samples.values)[:, 0]
-                without += int(np.count_nonzero(np.isnan(values)))
+                without += int(np.count_nonzero(~np.isfinite(values)))
                 file.writelines(each + b"\n" for each in numbers(values))
     rates = [each.rate_hz for each in every]
     told = ", ".join(f"{rate:.6g}" for rate in dict.fromkeys(rates[:3]))

@@ -255,7 +255,7 @@ class RecordedStream:
     Attributes
     ----------
     nan_counts : ndarray of int64, shape (n_channels,)
-        Number of NaN samples of each channel.
+        Number of NaN or infinite samples of each channel.
     clock_offsets
         Pairs of LSL time on the stream's clock and the offset to the recorder's clock, in s.
     footer

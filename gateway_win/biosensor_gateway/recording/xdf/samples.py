@@ -65,10 +65,10 @@ class Block:
 
     @property
     def nan_counts(self) -> NDArray[np.int64] | int:
-        """Number of NaN samples of each channel; zero in streams of text or integers."""
+        """Number of NaN or infinite samples of each channel; 0 in streams of text or integers."""
         if isinstance(self.values, list) or self.values.dtype.kind != "f":
             return 0
-        return np.asarray(np.isnan(self.values).sum(axis=0), np.int64)
+        return np.asarray((~np.isfinite(self.values)).sum(axis=0), np.int64)
 
     @property
     def texts(self) -> tuple[str, ...]:
