@@ -259,11 +259,14 @@ class Relay:
         """Replace liblsl's lines about multicast, three for each outlet, by one sentence."""
         if not _NO_MULTICAST.search(block):
             return block
-        lines = block.splitlines(keepends=True)
-        others = [each for each in lines if not _NO_MULTICAST.search(each)]
-        told = [] if self._has_told_no_network else [NO_NETWORK]
-        self._has_told_no_network = True
-        return b"".join([*told, *others])
+        kept: list[bytes] = []
+        for line in block.splitlines(keepends=True):
+            if not _NO_MULTICAST.search(line):
+                kept.append(line)
+            elif not self._has_told_no_network:
+                self._has_told_no_network = True
+                kept.append(NO_NETWORK)
+        return b"".join(kept)
 
 
 @contextlib.contextmanager

@@ -460,7 +460,10 @@ def test_an_output_that_refuses_is_tried_again_with_the_next_line(refusal: Excep
 
 
 @pytest.mark.seam
-def test_what_liblsl_writes_of_each_outlet_without_a_network_is_one_sentence() -> None:
+@pytest.mark.parametrize("at_once", [False, True])
+def test_what_liblsl_writes_of_each_outlet_without_a_network_is_one_sentence(
+    at_once: bool,
+) -> None:
     """As liblsl 1.18 wrote it, three lines for each outlet, in a namespace with `lo` alone."""
     warning = (
         b"18:27:40.871 (   2.714s) [        823EF540] stream_outlet_impl.cpp:103   WARN| "
@@ -472,12 +475,13 @@ def test_what_liblsl_writes_of_each_outlet_without_a_network_is_one_sentence() -
     writer = NonblockingWriter("console", heard.append)
     descriptor = os.open(os.devnull, os.O_WRONLY)
     relay = Relay(descriptor, writer)
-    for lines in (
+    parts = [
         of_ipv6,
         3 * warning,
         b"Stream transmission broke off\n",
         b"a line\n" + 2 * warning,
-    ):
+    ]
+    for lines in [b"".join(parts)] if at_once else parts:
         os.write(descriptor, lines)
     relay.close(DEADLINE_S)
     os.close(descriptor)

@@ -222,16 +222,21 @@ def untrue(device: VirtualDevice, run: Run, since_s: float) -> list[str]:
 _unspoilt: dict[str, tuple[list[str], set[str]]] = {}
 """By device, what its driver asks if nothing fails, and the streams that come; the same for all
 manners, so it is tried once."""
-_ASKED_NOTHING = ("emotibit", "line_sensor", "acme_band")
-"""They send by themselves, or are asked by UDP broadcast, where lost requests are usual."""
-_ASKED_ALIKE = ("shimmer:emg", "shimmer:imu")
-"""Their requests are those of `shimmer`, with other bits."""
-ASKED = [
-    name
-    for name in NAMES
-    if not (is_recording(name) or class_of(name).only_advertises)
-    and not name.startswith((*_ASKED_NOTHING, *_ASKED_ALIKE))
-]
+
+
+def _is_asked(name: str) -> bool:
+    """Whether a driver asks this virtual device what it asks no other."""
+    if name == "acme_band" or is_recording(name) or class_of(name).only_advertises:
+        return False
+    sensor, _, kind = name.partition(":")
+    try:
+        module = import_module(f"tests.{sensor}.refusal")
+    except ModuleNotFoundError:
+        return True
+    return kind in getattr(module, "ASKED", (kind,))
+
+
+ASKED = list(filter(_is_asked, NAMES))
 
 
 @pytest.mark.nightly
