@@ -30,6 +30,7 @@ from biosensor_gateway.features.sources import (
 )
 from biosensor_gateway.features.witnesses import Witnesses
 from biosensor_gateway.recording.contents.opening import (
+    Contents,
     has_uneven_stamps,
     one_rate_each,
     open_ended,
@@ -95,27 +96,7 @@ def compute(path: Path, target: Path) -> Computed:
         except OSError as error:
             message = cannot_write(target, error)
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
-        remarks += [contents.not_closed] if contents.not_closed else []
-        read = [each for parts, _ in pairs for each in parts]
-        remarks += [
-            f"{each.header.title}: {each.untimed} samples are left out, because their timestamps "
-            "are not numbers"
-            for each in read
-            if each.untimed
-        ]
-        remarks += [
-            f"{each.header.title}: {why}, so the times of its features are in doubt"
-            for each in read
-            if (why := each.clock_error or each.part_error)
-        ]
-        remarks += [
-            f"{each.header.title}: {span.text(contents.begin_s)}"
-            for each in read
-            for span in each.clock.doubtful_spans
-        ]
-        remarks += [
-            f"{each.header.title}: {each.clock.unused}" for each in read if each.clock.unused
-        ]
+        remarks += _on_times(contents, [each for parts, _ in pairs for each in parts])
         others = contents.of_other_agents
         mismatch = compare_file(path, (each.header.identity for each in contents.streams))
         remarks += [*others, *([mismatch.sentence] if mismatch else [])]
@@ -123,6 +104,25 @@ def compute(path: Path, target: Path) -> Computed:
             remarks.append(f"{path} can be read only in part{contents.why_incomplete}")
         is_whole = not (contents.damages or others or doubled)
         return Computed(target, counts, (*refused, *doubled), tuple(remarks), is_whole)
+
+
+def _on_times(contents: Contents, read: Sequence[Stream]) -> Iterator[str]:
+    """Yield what is to be known of the end of a recording, and of the times of its streams."""
+    if contents.not_closed:
+        yield contents.not_closed
+    for each in read:
+        title = each.header.title
+        if each.untimed:
+            yield (
+                f"{title}: {each.untimed} samples are left out, because their timestamps are not "
+                "numbers"
+            )
+        if why := each.clock_error or each.part_error:
+            yield f"{title}: {why}, so the times of its features are in doubt"
+        for span in each.clock.doubtful_spans:
+            yield f"{title}: {span.text(contents.begin_s)}"
+        if each.clock.unused:
+            yield f"{title}: {each.clock.unused}"
 
 
 _Parts = tuple[Stream, ...]

@@ -253,10 +253,13 @@ class _Watch(threading.Thread):
 
     def run(self) -> None:
         """Look every few seconds, until the end."""
-        os.environ["LSLAPICFG"] = str(self._config)
         # Imported here, because the supervisor starts the program first.
+        import pylsl  # noqa: PLC0415 - see above
+
         from biosensor_common.lsl.network import search  # noqa: PLC0415 - see above
 
+        # Not by its path, which may have letters that liblsl cannot read.
+        pylsl.set_config_content(self._config.read_text("utf-8"))
         while not self._end.wait(_WATCH_EVERY_S):
             infos = search(lambda _found, elapsed_s: elapsed_s >= _WATCH_S or self._end.is_set())
             if self._uids is None:
