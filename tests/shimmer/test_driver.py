@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
@@ -27,10 +27,11 @@ from biosensor_gateway.devices.shimmer.simulator import (
     SimulatedShimmer3R,
 )
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
+from biosensor_gateway.devices.shimmer.simulator.sensors import memory_of
 from biosensor_gateway.doctor.device_test import run_device_test
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
-from tests.rigs.driver_run import Run, connected, supervised
+from tests.rigs.driver_run import Run, connected, streaming, supervised
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
 
@@ -121,17 +122,57 @@ async def test_settings_choose_sensors_rate_and_what_the_exg_chips_do(
         assert not run.sink.rows["quality"]
 
 
-async def test_what_was_never_calibrated_is_said(world: World) -> None:
-    with SimulatedImuUnit(world) as device, capture_logs() as logs:
-        await streams_of(device)
-    (entry,) = (each for each in logs if each["event"].startswith("typical values"))
-    assert entry["streams"] == ["acc_wide_range"]
+class NeverCalibrated(SimulatedImuUnit):
+    """Its accelerometer of the wide range was never calibrated."""
+
+    memory = replace(
+        SimulatedImuUnit.memory, calibration=memory_of(*SimulatedImuUnit.motion[:3], None)
+    )
 
 
-async def test_an_exg_that_is_wanted_of_another_board_is_said(world: World) -> None:
-    with SimulatedImuUnit(world) as device, capture_logs() as logs:
-        await streams_of(device, sensors="ecg")
-    assert "the expansion board is not an ExG board" in {each["event"] for each in logs}
+class WithoutCoefficients(SimulatedImuUnit):
+    """Its pressure sensor tells nothing about itself."""
+
+    memory = replace(SimulatedImuUnit.memory, pressure_coefficients=b"\x01" * 22)
+
+
+class LeftInItsTest(SimulatedExgUnit):
+    """Its ExG chips were left with their test signal on."""
+
+    # CH1SET is the fourth register; 5 is the test signal.
+    registers = tuple(
+        each[:3] + bytes([each[3] & 0xF0 | 5]) + each[4:] for each in SimulatedExgUnit.registers
+    )
+
+
+async def doubts_of(device: SimulatedShimmer, **fields: Any) -> str:
+    """Return what is wrong in the status of a device that streams."""
+    async with streaming(device, **fields) as run:
+        await until(lambda: run.error)
+        assert run.is_streaming()
+        return run.error
+
+
+async def test_a_calibrated_unit_is_beyond_doubt(world: World) -> None:
+    with SimulatedImuUnit(world) as device:
+        assert (await streams_of(device)).error == ""
+
+
+@pytest.mark.parametrize(
+    ("unit", "fields", "doubt"),
+    [
+        (NeverCalibrated, {}, "there was no calibration: acc_wide_range"),
+        (SimulatedImuUnit, {"sensors": "ecg"}, "(31) is not an ExG board, so ecg has no meaning"),
+        (SimulatedImuUnit, {"sensors": "emg"}, "(31) is not an ExG board, so emg has no meaning"),
+        (LeftInItsTest, {}, "the ExG measures a test signal, not the body"),
+        (WithoutCoefficients, {}, "refuses pressure, temp (the coefficients"),
+    ],
+)
+async def test_values_that_may_be_wrong_or_are_withheld_are_said_in_the_status(
+    world: World, unit: type[SimulatedShimmer], fields: dict[str, str], doubt: str
+) -> None:
+    with unit(world) as device:
+        assert doubt in await doubts_of(device, **fields)
 
 
 async def test_a_test_of_the_device_misses_nothing_that_is_off(world: World) -> None:
@@ -161,8 +202,10 @@ def test_the_page_names_all_that_is_said() -> None:
     driver = root / "gateway_win" / "biosensor_gateway" / "devices" / "shimmer" / "driver"
     said: set[str] = set()
     for path in driver.glob("*.py"):
-        said |= set(re.findall(r'_log\.warning\("([^"]+)"', path.read_text(encoding="utf-8")))
-    assert len(said) >= 6
+        text = path.read_text(encoding="utf-8")
+        said |= set(re.findall(r'_log\.warning\("([^"]+)"', text))
+        said |= set(re.findall(r'remarks\["[^"]+"\] = \(?\s*f?"([^"({:]+)', text))
+    assert len(said) >= 7
     assert {text for text in said if text not in page} == set()
 
 

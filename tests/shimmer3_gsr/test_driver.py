@@ -6,6 +6,7 @@ import asyncio
 import os
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -127,6 +128,19 @@ async def test_every_firmware_delivers_every_sample(
     assert run.lost == {}
     assert run.sink.dropped_bytes == 0
     assert run.sink.clock_state.reanchors == 0
+
+
+async def test_a_board_without_gsr_is_said_in_the_status(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = replace(SimulatedShimmer3.memory, card=(47, 3, 0))
+    monkeypatch.setattr(SimulatedShimmer3, "memory", memory)
+    with SimulatedShimmer3(world) as device:
+        async with supervised(ShimmerRun(device)) as run:
+            await until(lambda: run.error)
+        assert run.error == (
+            "the expansion board (47) is not a GSR+ board, so gsr and ppg have no meaning"
+        )
 
 
 async def test_it_stops_the_device_at_the_end(streaming: Streaming) -> None:

@@ -116,11 +116,11 @@ async def _motion_calibrations(
     layout: Layout,
     present: Inquiry,
     air: PressureCoefficients | None,
+    remarks: dict[str, str],
 ) -> list[tuple[str, Kinematic]]:
     """Return the calibration of each motion sensor in the packets.
 
-    It comes from the device's memory; sensors without one there get typical values of their chip,
-    which is logged.
+    It comes from the device's memory; sensors without one there get typical values of their chip.
 
     Parameters
     ----------
@@ -129,6 +129,8 @@ async def _motion_calibrations(
         Setup of the device, with the ranges of its sensors.
     air
         Coefficients of the pressure sensor, if known, which identify the generation of chips.
+    remarks
+        Gets which sensors have typical values.
 
     Raises
     ------
@@ -140,7 +142,9 @@ async def _motion_calibrations(
     found = {name: calibration.stored(memory, MOTION[name].block) for name in names}
     without = [name for name, each in found.items() if each is None]
     if without:
-        _log.warning("typical values are used where there was no calibration", streams=without)
+        remarks["calibration"] = (
+            f"typical values are used where there was no calibration: {', '.join(without)}"
+        )
     typical = typical_calibrations(kind, layout, present, air)
     return [(name, found[name] or each) for name, each in typical]
 
@@ -218,35 +222,37 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
         As for :meth:`Conversation.ask`.
     """
     denied = await ask_for_the_state(talk, kind)
+    remarks: dict[str, str] = {}
     present = await make_right(talk, partial(_changes, wanted=wanted), name)
     if wanted.use is not None:
         await _set_exg_up(talk, wanted, wanted.use, present, name)
     layout = kind.layout(present.channels)
-    signals = await _calibrated(talk, kind, layout, present)
+    air = await _pressure_coefficients(talk, kind) if has_air(layout) else None
+    motion = await _motion_calibrations(talk, kind, layout, present, air, remarks)
+    signals = motion_signals(layout, motion)
+    compensate = air and compensation(air, present.pressure_oversampling)
+    if compensate:
+        signals += air_signals(layout, compensate)
+    elif has_air(layout):
+        why = "the coefficients of the pressure sensor are unknown"
+        denied |= {"pressure": why, "temp": why}
     chips = Exg(await _registers(talk)) if has_exg(layout) else None
     if chips is not None:
         signals.insert(0, exg_signal(layout, chips))
+        board = await expansion_board(talk, name)
+        if board is not None and board not in EXG_BOARDS:
+            remarks["board"] = (
+                f"the expansion board ({board}) is not an ExG board, so {signals[0].data_name} "
+                "has no meaning"
+            )
         if chips.is_test_signal:
-            _log.warning("the ExG measures a test signal", port=name)
+            remarks["test signal"] = "the ExG measures a test signal, not the body"
     if not signals:
         message = f"{name}: no sensor that can be read is on; set sensors"
         raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
     tells = chips is not None and chips.detects_lead_off and chips.use is Use.ECG
     status_at = status_places(layout) if tells else None
-    return Measurement(layout, present.divisor, tuple(signals), status_at, denied)
-
-
-async def _calibrated(
-    talk: Conversation, kind: Kind, layout: Layout, present: Inquiry
-) -> list[Signal]:
-    """Return the calibrated streams of motion, pressure and temperature sensors."""
-    air = await _pressure_coefficients(talk, kind) if has_air(layout) else None
-    motion = await _motion_calibrations(talk, kind, layout, present, air)
-    signals = motion_signals(layout, motion)
-    compensate = air and compensation(air, present.pressure_oversampling)
-    if compensate:
-        signals += air_signals(layout, compensate)
-    return signals
+    return Measurement(layout, present.divisor, tuple(signals), status_at, denied, remarks)
 
 
 def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
@@ -270,10 +276,6 @@ async def _registers(talk: Conversation) -> Registers:
 async def _set_exg_up(
     talk: Conversation, wanted: Wanted, use: Use, present: Inquiry, name: str
 ) -> None:
-    board = await expansion_board(talk, name)
-    if board is not None and board not in EXG_BOARDS:
-        # It measures, but the values are meaningless.
-        _log.warning("the expansion board is not an ExG board", port=name, board=board)
     gain = wanted.gain or exg.DEFAULT_GAIN[use]
     rate_hz = messages.TICKS_PER_S / present.divisor
     right = exg.registers_for(use, gain, rate_hz, lead_off=wanted.lead_off)
@@ -377,6 +379,7 @@ def _connected(measurement: Measurement) -> Connected:
     off = WAVEFORMS - set(measurement.streams)
     if measurement.status_at is None:
         off |= {"quality"}
+    off -= measurement.denied.keys()
     rates = dict.fromkeys(WAVEFORMS, measurement.rate_hz)
     return Connected(rates=rates, silent=off, denied=measurement.denied)
 
@@ -390,7 +393,8 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
         measurement = await set_up(talk, kind, own.wanted, own.port)
         begin = partial(emitter.started, measurement)
         known = _connected(measurement)
-        return Prepared(measurement.layout, measurement.divisor, begin, known)
+        layout, divisor = measurement.layout, measurement.divisor
+        return Prepared(layout, divisor, begin, known, measurement.remarks)
 
     return lambda: ShimmerDriver(own.port, sink, emitter, prepare)
 
@@ -409,8 +413,9 @@ class Measurement:
     # Positions of the status of both ExG chips; None without lead-off detection, so there is no
     # `quality`.
     status_at: tuple[int, int] | None = None
-    # What the device refuses and why, by data name.
+    # What the device refuses and why, by data name; and why values may be wrong.
     denied: Mapping[str, str] = field(default_factory=dict[str, str])
+    remarks: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def rate_hz(self) -> float:

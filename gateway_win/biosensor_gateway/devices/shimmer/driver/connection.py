@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import structlog
@@ -42,6 +43,8 @@ class Prepared(NamedTuple):
     divisor: int
     begin: Callable[[], None]  # Prepares the emitter for packets of a new start.
     connected: Connected = Connected()  # Information about its streams.
+    # Why values may be wrong, as clauses, by what they are about.
+    remarks: Mapping[str, str] = MappingProxyType({})
 
 
 class ShimmerDriver:
@@ -88,6 +91,9 @@ class ShimmerDriver:
 
     async def stream(self) -> None:
         """Emit data received since connecting."""
+        if self._prepared is not None:
+            for about, text in self._prepared.remarks.items():
+                self._sink.remark(about, text)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._talk.stream(self._hear))
             tasks.create_task(self._ask_for_the_battery())

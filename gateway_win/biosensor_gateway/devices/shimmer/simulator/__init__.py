@@ -276,7 +276,7 @@ class SimulatedEmgUnit(SimulatedExgUnit):
 
 
 class SimulatedImuUnit(_Unit):
-    """An IMU unit of the older series; its wide-range accelerometer was never calibrated."""
+    """An IMU unit of the older series."""
 
     effects = _EFFECTS_WITHOUT_ELECTRODES
     expected = WITHOUT_ELECTRODES
@@ -287,7 +287,7 @@ class SimulatedImuUnit(_Unit):
     memory = Memory(
         model=OLDER_SHIMMER3,
         card=(31, 2, 0),
-        calibration=memory_of(_LN, _GYRO, _OLDER_MAG, None),
+        calibration=memory_of(*motion),
         pressure_chip=0,
         pressure_coefficients=air.coefficients,
     )

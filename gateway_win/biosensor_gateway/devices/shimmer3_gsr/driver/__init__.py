@@ -11,7 +11,6 @@ from statistics import median
 from typing import Literal, NamedTuple
 
 import numpy as np
-import structlog
 from numpy.typing import ArrayLike
 from pydantic import Field
 
@@ -41,8 +40,6 @@ from biosensor_gateway.pulses import Pulses
 from biosensor_gateway.settings.models import DeviceSettings
 
 GSR_BOARDS = frozenset({14, 48})
-
-_log = structlog.get_logger("biosensor_gateway.shimmer3_gsr")
 QUALITY_PERIOD_S = 10.0
 WAVEFORMS = ("gsr", "ppg")
 
@@ -102,13 +99,15 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
         As :meth:`Conversation.ask`.
     """
     board = await expansion_board(talk, name)
+    remarks: dict[str, str] = {}
     if board is not None and board not in GSR_BOARDS:
-        # It measures, but the values are meaningless.
-        _log.warning("the expansion board is not a GSR+ board", port=name, board=board)
+        remarks["board"] = (
+            f"the expansion board ({board}) is not a GSR+ board, so gsr and ppg have no meaning"
+        )
     denied = await ask_for_the_state(talk, kind)
     present = await make_right(talk, lambda inquiry: _changes(inquiry, wanted), name)
     layout = kind.layout(present.channels)
-    return Measurement(layout, wanted.divisor, wanted.gsr_setting, denied)
+    return Measurement(layout, wanted.divisor, wanted.gsr_setting, denied, remarks)
 
 
 def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
@@ -148,7 +147,8 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
         }
         begin = partial(emitter.started, measurement)
         connected = Connected(rates=rates, denied=measurement.denied)
-        return Prepared(measurement.layout, measurement.divisor, begin, connected)
+        layout, divisor = measurement.layout, measurement.divisor
+        return Prepared(layout, divisor, begin, connected, measurement.remarks)
 
     return lambda: ShimmerDriver(own.port, sink, emitter, prepare)
 
@@ -300,8 +300,9 @@ class Measurement:
     layout: Layout
     divisor: int  # The sample rate is 32768 Hz divided by it.
     gsr_setting: int  # Feedback resistor, 4 for automatic.
-    # What the device refuses and why, by data name.
+    # What the device refuses and why, by data name; and why values may be wrong.
     denied: Mapping[str, str] = field(default_factory=dict[str, str])
+    remarks: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def rate_hz(self) -> float:
