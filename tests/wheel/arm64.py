@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from tests.wheel.conftest import LOCK, ROOT, uv
+from tests.wheel.conftest import LOCK, ROOT, build, uv
 
 BINFMT = Path("/proc/sys/fs/binfmt_misc")
 PLATFORM, PYTHON, RELEASE = "aarch64-manylinux_2_36", "3.11", "bookworm"
@@ -152,8 +153,11 @@ class Arm64:
 
 
 @contextmanager
-def arm64(folder: Path, wheel: Path) -> Generator[Arm64]:
-    """Install a wheel and all that it needs, by hash, in a Debian for ARM."""
+def installed(folder: Path) -> Generator[Arm64]:
+    """Build the wheel, and install it and all that it needs, by hash, in a Debian for ARM."""
+    pip = ROOT / ".uv" / "bin" / "python"
+    _run(pip, "-m", "installer.liblsl", folder, folder=ROOT)
+    wheel = build(ROOT, folder / "built", "--wheel", liblsl=folder / "aarch64")
     root, site_of_debian = folder / "root", mirror()
     (folder / "apt").mkdir()
     qemu = _qemu(folder / "apt", site_of_debian)
@@ -174,6 +178,7 @@ def arm64(folder: Path, wheel: Path) -> Generator[Arm64]:
     (root / "lsl.cfg").write_bytes(Path(os.environ["LSLAPICFG"]).read_bytes())
     with _registered(qemu), closing(Arm64(root)) as debian:
         yield debian
+    shutil.rmtree(root)
 
 
 def needs() -> str:

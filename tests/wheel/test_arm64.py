@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 
-from tests.wheel.arm64 import LIMIT_S, ROOT, Arm64, arm64, needs
-from tests.wheel.conftest import Installed, build
+from tests.wheel.arm64 import LIMIT_S, Arm64, installed, needs
+from tests.wheel.conftest import Installed
 
 MISSING = needs()
 FORMATS = ("bids", "csv", "edf", "mcap")
-UNIT = ("tests/common", "tests/xdf", "tests/recording_export", "tests/polar_h10")
-# They read the tree's source, which is the same on all processors, or simulate hours, for minutes.
-TOO_LONG = ("predicates", "system_programs", "clock_accuracy*", "device_clock*")
 # Errors of a recording that no slow computer makes.
 BY_PROCESSOR = {
     *("damaged", "no-header", "footer-count", "duplicate-source-id", "counters", "too-many"),
@@ -34,19 +29,9 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def arm_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    pip = ROOT / ".uv" / "bin" / "python"
-    subprocess.run([pip, "-m", "installer.liblsl", folder], cwd=ROOT, check=True)
-    return build(ROOT, folder / "built", "--wheel", liblsl=folder / "aarch64")
-
-
-@pytest.fixture(scope="module")
-def arm(arm_wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Generator[Arm64]:
-    folder = tmp_path_factory.mktemp("arm64")
-    with arm64(folder, arm_wheel) as debian:
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Generator[Arm64]:
+    with installed(tmp_path_factory.mktemp("arm64")) as debian:
         yield debian
-    shutil.rmtree(folder)
 
 
 def test_it_shows_itself_in_one_command(arm: Arm64, wheel: Path, tmp_path: Path) -> None:
@@ -87,20 +72,6 @@ def test_a_recording_is_exported_as_on_other_computers(
         arm.run("xdf", "export", "study.xdf", "--to", each)
         here.run("xdf", "export", str(recorded), "--to", each)
         assert _made(arm.home) == _made(tmp_path), each
-
-
-def test_unit_tests_pass_there(arm: Arm64) -> None:
-    """Those of the rooms in which a processor could matter; all of them would take an hour."""
-    tests = arm.start_python(
-        *("-m", "pytest", "--tier", "unit", "-q", "-n", "2", "-p", "no:cacheprovider", *UNIT),
-        *(f"--ignore-glob=tests/common/test_{each}.py" for each in TOO_LONG),
-        folder="/repository",
-        PYTHONPATH="/tools:/site:/repository",
-        PYLSL_LIB="/site/biosensor_liblsl/liblsl.so",
-    )
-    said = arm.ended(tests)
-    print(said[-2000:])
-    assert re.search(r"\d+ passed", said)
 
 
 def _made(folder: Path) -> dict[str, bytes]:
