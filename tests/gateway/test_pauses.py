@@ -21,6 +21,7 @@ from structlog.testing import capture_logs
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.agent.device_states import chosen, device_name
 from biosensor_gateway.agent.pauses import (
     PAUSED_FILE,
     Pause,
@@ -28,7 +29,6 @@ from biosensor_gateway.agent.pauses import (
     load_pauses,
     save_pauses,
 )
-from biosensor_gateway.agent.selection import chosen, device_name
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets as outlets_module
 from biosensor_gateway.streaming.counters import Counters

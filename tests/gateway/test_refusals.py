@@ -25,8 +25,8 @@ from biosensor_gateway import cli
 from biosensor_gateway.agent import control, status_file
 from biosensor_gateway.agent.agent import problems_of, snapshot
 from biosensor_gateway.agent.device_set import Device, DeviceChanges, DeviceSet
+from biosensor_gateway.agent.device_states import holders, unique_names
 from biosensor_gateway.agent.pauses import PauseCommands, load_pauses
-from biosensor_gateway.agent.selection import holders, unique_names
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.cli import agent as commands

@@ -51,6 +51,7 @@ from biosensor_gateway.recording.recorder.streams import (
 )
 from biosensor_gateway.settings.models import GatewaySettings
 from tests.lab_recorder.remote_control import LabRecorderPeer
+from tests.recording_here.conftest import begin
 from tests.xdf.xdf_file import FILE_HEADER, chunk, footer, samples, stream_header
 
 # What is kept of the recording that was started last.
@@ -254,7 +255,7 @@ def test_nothing_is_made_of_a_recording_that_is_refused(tmp_path: Path) -> None:
     order = RecordingRequest(tmp_path, labels=BidsLabels("P03"))
     recording = LocalRecorder(tmp_path / "state")
     with pytest.raises(OtherParticipantsError):
-        recording.start(order, lambda: PRESENCE)
+        begin(recording, order, PRESENCE)
     assert list(tmp_path.rglob("*.xdf")) == []
     assert not recording.is_running
 
@@ -263,7 +264,7 @@ def test_a_sensor_that_does_not_stream_refuses_and_the_option_is_named(tmp_path:
     presence = replace(PRESENCE, away=("P01's strap is paused since 14:03",))
     recording = LocalRecorder(tmp_path / "state")
     with pytest.raises(SensorsAwayError, match="P01's strap is paused since 14:03") as caught:
-        recording.start(RecordingRequest(tmp_path, labels=BidsLabels("P01")), lambda: presence)
+        begin(recording, RecordingRequest(tmp_path, labels=BidsLabels("P01")), presence)
     assert "--allow-missing" in str(caught.value)
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert list(tmp_path.rglob("*.xdf")) == []

@@ -26,9 +26,9 @@ from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl_header import append_children, describe, read_header
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.agent.device_states import chosen, described
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.agent.rate_meter import RateMeter
-from biosensor_gateway.agent.selection import chosen, described
 from biosensor_gateway.agent.status import AgentStatus, DeviceFacts, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.sources import judge, stream_info

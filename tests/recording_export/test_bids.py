@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.naming import label
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Selection, choose
@@ -33,7 +34,6 @@ from biosensor_gateway.recording.export.timing import find_timing
 from biosensor_gateway.recording.participants import Whose, entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.settings.names import label
 from tests.recording_export.bids_shapes import (
     BEGIN_S,
     EEG_VALUES,

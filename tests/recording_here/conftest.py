@@ -7,18 +7,31 @@ import threading
 from collections.abc import Generator
 from pathlib import Path
 from typing import Self
+from unittest.mock import patch
 
 import pylsl
 import pytest
 
 from biosensor_gateway.recording.recorder import local
+from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.program import find_programs
-from biosensor_gateway.recording.recorder.request import VisibleStream
+from biosensor_gateway.recording.recorder.request import (
+    LocalStarted,
+    RecordingRequest,
+    VisibleStream,
+)
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence
+from biosensor_gateway.settings.models import GatewaySettings
 
 RATE_HZ = 2000
 """So fast that the recorder's blocks are full in a moment."""
+
+
+def begin(recording: LocalRecorder, request: RecordingRequest, presence: Presence) -> LocalStarted:
+    """Start a recording of these streams, whatever others this computer sees."""
+    with patch.object(local, "look", return_value=presence):
+        return recording.start(request, GatewaySettings())
 
 
 class Sources:

@@ -39,7 +39,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import decode
 from biosensor_gateway.recording.xdf.verdict import Colour
-from tests.recording_here.conftest import Sources, only
+from tests.recording_here.conftest import Sources, begin, only
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.lsl_streams import note_askers
 from tests.rigs.polling import wait_until
@@ -225,7 +225,7 @@ def test_it_takes_over_from_a_program_that_does_not_record(
     monkeypatch.setattr(local, "find_programs", programs)
     monkeypatch.setattr(local, "PROGRAM_S", 5.0)
     recording = LocalRecorder(state)
-    begun = recording.start(request(tmp_path), sources.presence)
+    begun = begin(recording, request(tmp_path), sources.presence())
     (warning,) = (each for each in begun.warnings if OWN[1:] in each)
     assert LAB_RECORDER in warning
     assert said in warning
@@ -245,7 +245,7 @@ def test_a_stream_that_does_not_answer_is_named(
     gone = VisibleStream("gone", "gone-id", socket.gethostname())
     presence = Presence((*seen, gone), (gone,), ())
     short = RecordingRequest(tmp_path, labels=BidsLabels("P07"), growth_s=5.0)
-    begun = LocalRecorder(state).start(short, lambda: presence)
+    begun = begin(LocalRecorder(state), short, presence)
     assert any("not recorded: gone" in each for each in begun.warnings)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
 
@@ -431,7 +431,7 @@ def test_what_changed_under_way_is_a_warning_of_the_verdict(
 ) -> None:
     outlet = start("microvolts")
     recording = LocalRecorder(state)
-    recording.start(request(tmp_path), sources.presence)
+    begin(recording, request(tmp_path), sources.presence())
     said = RecorderFolder(state).output
     wait_until(lambda: "collection for stream unit" in said.read_text(), "it is recorded")
     del outlet

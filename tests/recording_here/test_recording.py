@@ -35,7 +35,7 @@ from biosensor_gateway.recording.recorder.streams import Presence
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
-from tests.recording_here.conftest import Sources, only
+from tests.recording_here.conftest import Sources, begin, only
 from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
@@ -71,11 +71,11 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
 ) -> None:
     recording = LocalRecorder(state)
     assert recording.status() is None
-    begun = recording.start(request_of(tmp_path), sources.presence)
+    begun = begin(recording, request_of(tmp_path), sources.presence())
     assert begun.file == tmp_path / NAME.format(run=1)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
     with pytest.raises(RecorderError) as caught:
-        recording.start(request_of(tmp_path), sources.presence)
+        begin(recording, request_of(tmp_path), sources.presence())
     assert caught.value.reason is RecorderReason.RECORDING
 
     def samples(name: str) -> int:
@@ -115,7 +115,7 @@ def test_a_stream_that_appears_later_is_not_in_it_which_is_said_unless_it_was_no
     sources: Sources, state: Path, tmp_path: Path, only_ours: bool
 ) -> None:
     recording = LocalRecorder(state)
-    recording.start(request_of(tmp_path, only_ours=only_ours), sources.presence)
+    begin(recording, request_of(tmp_path, only_ours=only_ours), sources.presence())
     sources.add("markers")
     folder = RecorderFolder(state)
     if only_ours:
@@ -150,7 +150,7 @@ def test_a_program_that_is_started_again_without_a_source_id_is_not_in_it(
     seen = sources.presence()
     seen = replace(seen, visible=(*seen.visible, VisibleStream("marks", "", socket.gethostname())))
     recording = LocalRecorder(state)
-    recording.start(request_of(tmp_path), lambda: seen)
+    begin(recording, request_of(tmp_path), seen)
     time.sleep(8.0)  # A look for such streams.
     del marks
     again = outlet()
@@ -171,9 +171,9 @@ def test_a_name_that_is_taken_counts_up_or_refuses(
     taken.write_bytes(b"of somebody")
     recording = LocalRecorder(state)
     with pytest.raises(RecorderError) as caught:
-        recording.start(request_of(tmp_path, counts_up=False), sources.presence)
+        begin(recording, request_of(tmp_path, counts_up=False), sources.presence())
     assert caught.value.reason is RecorderReason.EXISTS
-    begun = recording.start(request_of(tmp_path), sources.presence)
+    begun = begin(recording, request_of(tmp_path), sources.presence())
     assert begun.file == tmp_path / NAME.format(run=2)
     assert recording.stop().file == tmp_path / NAME.format(run=2)
     assert taken.read_bytes() == b"of somebody"
@@ -186,7 +186,7 @@ def test_a_required_stream_that_is_missing_refuses(
     recording = LocalRecorder(state)
     missing = "p01 zephyr (x), none of its 13 streams"
     with pytest.raises(RecorderError, match="p01 zephyr") as caught:
-        recording.start(request_of(tmp_path / "data"), lambda: sources.presence(missing))
+        begin(recording, request_of(tmp_path / "data"), sources.presence(missing))
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not (tmp_path / "data").exists()
 
@@ -199,7 +199,7 @@ def test_a_required_stream_that_the_program_does_not_find_refuses(
     recording = LocalRecorder(state)
     short = RecordingRequest(tmp_path, labels=BIDS, growth_s=5.0)
     with pytest.raises(RecorderError, match="wrist") as caught:
-        recording.start(short, lambda: gone)
+        begin(recording, short, gone)
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not recording.is_running
 
@@ -211,7 +211,7 @@ def test_a_refusal_gives_the_name_back_if_no_sample_came(state: Path, tmp_path: 
     presence = Presence(seen, (), ())
     short = RecordingRequest(tmp_path, labels=BIDS, growth_s=5.0)
     with pytest.raises(RecorderError, match="gone") as caught:
-        LocalRecorder(state).start(short, lambda: presence)
+        begin(LocalRecorder(state), short, presence)
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not list(tmp_path.rglob("*.xdf"))
     del silent
@@ -225,22 +225,24 @@ def test_where_nothing_can_be_written_it_says_so(
         if folder.parent == tmp_path:
             folder.touch()
         with pytest.raises(RecorderError, match=r"no folder|cannot be written") as caught:
-            LocalRecorder(state).start(request_of(folder), sources.presence)
+            begin(LocalRecorder(state), request_of(folder), sources.presence())
         assert caught.value.reason is RecorderReason.UNWRITABLE
 
 
 STARTER = """
 import sys, time
 from pathlib import Path
-from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.request import BidsLabels, RecordingRequest
 from biosensor_gateway.recording.recorder.streams import (Presence)
 from biosensor_gateway.recording.recorder.request import VisibleStream
+from biosensor_gateway.settings.models import GatewaySettings
 import socket
 
 seen = [VisibleStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]
 request = RecordingRequest(Path(sys.argv[2]), labels=BidsLabels("P07", task="Walk"))
-LocalRecorder(Path(sys.argv[1])).start(request, lambda: Presence(tuple(seen), (), ()))
+local.look = lambda *_: Presence(tuple(seen), (), ())
+local.LocalRecorder(Path(sys.argv[1])).start(request, GatewaySettings())
 print("begun", flush=True)
 time.sleep(600)
 """
@@ -287,7 +289,7 @@ def begun(
 ) -> Begun:
     only(request.param, monkeypatch)
     recording = LocalRecorder(state)
-    recording.start(request_of(tmp_path), sources.presence)
+    begin(recording, request_of(tmp_path), sources.presence())
     kept = RecorderFolder(state).saved()
     assert kept is not None
     assert kept.recorder == request.param

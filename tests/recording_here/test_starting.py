@@ -30,6 +30,7 @@ from biosensor_gateway.recording.recorder.streams import Presence, doubles, expe
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
+from tests.recording_here.conftest import begin
 from tests.recording_here.test_growth import HEAD, TWO, data
 from tests.xdf import xdf_file as x
 from tests.xdf.test_participants import heartbeat, recorded, strap
@@ -52,8 +53,10 @@ def test_the_next_try_begins_with_an_empty_file(
     monkeypatch.setattr(local, "launch", launch)
     stream = VisibleStream("a", "a-id", "here")
     with pytest.raises(RecorderError) as refused:
-        local.LocalRecorder(tmp_path / "state").start(
-            RecordingRequest(file=file), lambda: Presence((stream,), (), ())
+        begin(
+            local.LocalRecorder(tmp_path / "state"),
+            RecordingRequest(file=file),
+            Presence((stream,), (), ()),
         )
     assert refused.value.reason is RecorderReason.UNWRITABLE
     assert sizes == [0, 0]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from typer import Typer
 from typer.testing import CliRunner
 
+from biosensor_common.naming import label
 from biosensor_gateway.cli.withdraw import withdraw
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.contents.opening import open_contents
@@ -31,7 +32,6 @@ from biosensor_gateway.recording.withdrawal.work import (
 )
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import judge
-from biosensor_gateway.settings.names import label
 from tests.recording_export.study import BEGIN_S, ecg_values, ours
 from tests.rigs.open_elsewhere import SENTENCE, hold_open
 from tests.xdf import xdf_file as made

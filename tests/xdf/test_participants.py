@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.naming import require_participant
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.participants import Worn, compare, listed, participant_of
 from biosensor_gateway.recording.recorder.request import BidsLabels
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.report import Report
 from biosensor_gateway.recording.xdf.verdict import Colour, judge, verdict
-from biosensor_gateway.settings.names import require_participant
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import codes, read, text_of
 from tests.xdf.own_streams import own_header

@@ -34,11 +34,10 @@ from biosensor_gateway.agent.device_set import (
     SettingsReload,
     problem,
 )
-from biosensor_gateway.agent.device_states import CONNECTED
+from biosensor_gateway.agent.device_states import CONNECTED, unique_names
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.markers import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
-from biosensor_gateway.agent.selection import unique_names
 from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
 from biosensor_gateway.agent.status_file import STATUS_FILE
 from biosensor_gateway.settings.models import GatewaySettings

@@ -15,9 +15,8 @@ from biosensor_common import naming
 from biosensor_common.device_clock import ClockState
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.refusal import LATELY_S, Refused
-from biosensor_gateway.agent.device_states import State
+from biosensor_gateway.agent.device_states import State, described, device_name
 from biosensor_gateway.agent.feed import Feed
-from biosensor_gateway.agent.selection import described, device_name
 from biosensor_gateway.agent.status import (
     ClockStatus,
     DeclaredStream,

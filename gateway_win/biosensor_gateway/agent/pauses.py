@@ -17,7 +17,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control_server import Command
-from biosensor_gateway.agent.selection import chosen, device_name, unique_names
+from biosensor_gateway.agent.device_states import chosen, device_name, unique_names
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 from biosensor_gateway.system.device_log import names_in_log

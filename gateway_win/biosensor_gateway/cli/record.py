@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +38,7 @@ from biosensor_gateway.recording.recorder.request import (
     Stopped,
 )
 from biosensor_gateway.recording.recorder.state import WindowRecording
-from biosensor_gateway.recording.recorder.streams import look, own_events
+from biosensor_gateway.recording.recorder.streams import own_events
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.printing import finding_lines, printable
 from biosensor_gateway.recording.xdf.verdict import Colour
@@ -380,17 +379,12 @@ def _window(host: str | None, port: int | None) -> LabRecorder:
 def _begin(
     recorder: LocalRecorder | LabRecorder, request: RecordingRequest, settings: GatewaySettings
 ) -> Started:
-    streams = partial(look, settings, state_folder())
-    if isinstance(recorder, LocalRecorder):
-        if request.file is None and request.folder is None:
-            request = replace(request, folder=usual_recordings_folder())
-        start = partial(recorder.start, lsl=settings.lsl.overrides)
-    else:
-        start = recorder.start
+    if isinstance(recorder, LocalRecorder) and request.file is None and request.folder is None:
+        request = replace(request, folder=usual_recordings_folder())
     try:
-        return start(request, streams)
+        return recorder.start(request, settings)
     except SensorsAwayError as error:
-        return start(without_sensors(request, error), streams)
+        return recorder.start(without_sensors(request, error), settings)
 
 
 def _labels(participant: str | None, run: int | None, **others: str | None) -> BidsLabels | None:

@@ -49,7 +49,6 @@ from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import RecordingRequest
-from biosensor_gateway.recording.recorder.streams import Presence, look
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.printing import finding_lines
 from biosensor_gateway.recording.xdf.verdict import Colour, ExpectedStream, Verdict, check
@@ -239,7 +238,7 @@ class Trial:
         request = RecordingRequest(
             self._output_folder, only_ours=True, allow_missing=True, without_away=True
         )
-        started = self._recording.start(request, self._look, self._settings.lsl.overrides)
+        started = self._recording.start(request, self._settings)
         for warning in started.warnings:
             say(f"! {warning}")
         say(f"Recording for {self._recorded_s:g} s, as the page's button does ...")
@@ -251,9 +250,6 @@ class Trial:
         for sentence in sentences(outcome):
             say(sentence)
         return verdict.colour is not Colour.RED and outcome.is_certain
-
-    def _look(self) -> Presence:
-        return look(self._settings, self._state)
 
     def _go_on(self, devices: Mapping[str, str], begun: float) -> int:
         # A person may end both by the page's buttons.

@@ -18,10 +18,10 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason, did_you_mean
+from biosensor_common.naming import require_participant
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
-from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.simulation.faults import (
     Fault,
     FaultKind,

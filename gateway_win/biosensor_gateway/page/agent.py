@@ -15,7 +15,7 @@ from biosensor_common.errors import SpecError
 from biosensor_common.quantities import TYPES_OF_DEVICE
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control import CONTROL_FILE, HOST, json_object, line
-from biosensor_gateway.agent.device_states import is_sending
+from biosensor_gateway.agent.device_states import described, device_name, is_sending
 from biosensor_gateway.agent.feed_frames import (
     HEAD,
     FrameKind,
@@ -24,7 +24,6 @@ from biosensor_gateway.agent.feed_frames import (
     read_samples,
 )
 from biosensor_gateway.agent.rate_meter import RateMeter
-from biosensor_gateway.agent.selection import described, device_name
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.status import (
     AgentStatus,

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.naming import label
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.selection import device_name
-from biosensor_gateway.settings.names import label
+from biosensor_gateway.agent.device_states import device_name
 
 GROUP = "group"
 """Prefix of a file's participant that stands for several people."""

@@ -15,8 +15,8 @@ from pydantic_settings import (
 )
 
 from biosensor_common.lsl.api_file import DEFAULT_PORT_RANGE, LslOverrides
+from biosensor_common.naming import MAX_LENGTH
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.settings.names import MAX_LENGTH
 
 USUAL_PORT = 17871
 OF_NO_SITE = "null"

@@ -15,9 +15,10 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.naming import require_participant
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.selection import described, device_name
+from biosensor_gateway.agent.device_states import described, device_name
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.page.models import (
@@ -30,7 +31,6 @@ from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.recorder.state import file_going_on
 from biosensor_gateway.settings import editor
 from biosensor_gateway.settings.models import ShortText, UnitText
-from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 from biosensor_gateway.system.child import start_beside
 from biosensor_gateway.system.logs import LOG_FILE_NAME

@@ -44,7 +44,7 @@ from biosensor_gateway.recording.recorder.request import (
     SensorsAwayError,
     VisibleStream,
 )
-from biosensor_gateway.recording.recorder.streams import Presence, look, titles
+from biosensor_gateway.recording.recorder.streams import titles
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
@@ -261,7 +261,7 @@ class Recorder:
             other_participants=wanted.other_participants,
             without_away=wanted.without_away,
         )
-        return self._recording.start(request, self._streams, self._session.loaded().lsl.overrides)
+        return self._recording.start(request, self._session.loaded())
 
     def _question(self, mismatch: Mismatch) -> QuestionError:
         choices = [Choice(words="Record as it is", more={"other_participants": True})]
@@ -270,9 +270,6 @@ class Recorder:
             choices.insert(0, Choice(words=words, more={"set_sensors": True}))
         sentence = f"{mismatch.sentence[0].upper()}{mismatch.sentence[1:]}."
         return QuestionError("Who wears the sensors?", sentence, choices)
-
-    def _streams(self) -> Presence:
-        return look(self._session.loaded(), self._session.folder)
 
     def _look(self) -> RecordingView:
         devices = self._session.device_facts()

@@ -16,7 +16,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -45,11 +45,13 @@ from biosensor_gateway.recording.recorder.state import WindowRecording
 from biosensor_gateway.recording.recorder.streams import (
     Presence,
     doubles,
+    look,
     recorded_without,
     require_startable,
     titles,
 )
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import warnings_of
 
 LOCAL_HOST, DEFAULT_PORT = "127.0.0.1", 22345
@@ -141,7 +143,7 @@ class LabRecorder:
     def __init__(self, host: str, port: int, state: Path) -> None:
         self._host, self._port, self._state = host, port, state
 
-    def start(self, request: RecordingRequest, look: Callable[[], Presence]) -> Started:
+    def start(self, request: RecordingRequest, settings: GatewaySettings) -> Started:
         """Start a recording, and wait until its file grows if this computer can access it.
 
         Parameters
@@ -157,15 +159,15 @@ class LabRecorder:
             If `request` is invalid.
         """
         with RemoteControl(self._host, self._port) as remote:
-            return self._start(remote, request, look)
+            return self._start(remote, request, settings)
 
     def _start(
-        self, remote: RemoteControl, request: RecordingRequest, look: Callable[[], Presence]
+        self, remote: RemoteControl, request: RecordingRequest, settings: GatewaySettings
     ) -> Started:
         target = choose_target(request, is_local=remote.is_local)
         self._require_idle()
         _require_free(target)
-        presence = look()
+        presence = look(settings, self._state)
         require_startable(presence, presence.visible, request)
         _require_no_others(presence, request)
         warnings = [*_warnings(presence, request)]

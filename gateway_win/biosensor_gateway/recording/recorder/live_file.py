@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import LATELY_S
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.device_states import clock_time, names
-from biosensor_gateway.agent.selection import described
+from biosensor_gateway.agent.device_states import clock_time, described, names
 from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, ChunkError, Frame, Tag
 from biosensor_gateway.recording.xdf.counters import (
     NEAR_S,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,10 +54,10 @@ from biosensor_gateway.recording.recorder.request import (
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
 from biosensor_gateway.recording.recorder.streams import (
     Devices,
-    Presence,
     away_findings,
     doubles,
     excused,
+    look,
     own_events,
     recorded_without,
     require_startable,
@@ -67,6 +67,7 @@ from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level, late_streams
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import ExpectedStream, Verdict, check
+from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import warnings_of
 from biosensor_gateway.system import state_file
 
@@ -119,12 +120,7 @@ class LocalRecorder:
         """The file being recorded; None if it is not recording."""
         return self.file if self.is_running else None
 
-    def start(
-        self,
-        request: RecordingRequest,
-        look: Callable[[], Presence],
-        lsl: LslOverrides | None = None,
-    ) -> LocalStarted:
+    def start(self, request: RecordingRequest, settings: GatewaySettings) -> LocalStarted:
         """Start a recording and wait until all streams are open.
 
         Raises
@@ -137,7 +133,7 @@ class LocalRecorder:
         files = local_files(request)
         if self._folder.is_running:
             raise _recording(self._folder)
-        begun, presence = time.monotonic(), look()
+        begun, presence = time.monotonic(), look(settings, self._state)
         ours = tuple(each for each in presence.visible if each not in presence.foreign)
         wanted = ours if request.only_ours else presence.visible
         require_startable(presence, wanted, request)
@@ -153,7 +149,7 @@ class LocalRecorder:
                 visible=None if request.only_ours else presence.visible,
                 command=(file.name, predicate(wanted) if request.only_ours else EVERYTHING),
             )
-            starter = _Starter(self._state, recording, lsl or LslOverrides(), request.growth_s)
+            starter = _Starter(self._state, recording, settings.lsl.overrides, request.growth_s)
             missed, remarks = starter.start(wanted, ours)
             failed.pop_all()
         recorded = tuple(each for each in wanted if each not in missed)

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_common.naming import LABEL, require_participant
 from biosensor_gateway.recording.participants import participant_of
 from biosensor_gateway.recording.xdf.findings import Finding, VisibleStream
-from biosensor_gateway.settings.names import LABEL, require_participant
 
 if TYPE_CHECKING:
     from biosensor_gateway.recording.recorder.live_file import Progress

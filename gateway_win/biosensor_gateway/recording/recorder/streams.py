@@ -14,8 +14,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.device_states import Absence, absences, identity_of, is_sending, names
-from biosensor_gateway.agent.status import DeclaredStream, declared_streams
-from biosensor_gateway.devices.registry import declared
+from biosensor_gateway.devices.registry import declaration, declared
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn, compare
 from biosensor_gateway.recording.recorder.request import (
     RecorderError,
@@ -103,9 +102,10 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
 def _of_status(device: Mapping[str, Any], away: Mapping[DeviceIdentity, str]) -> ExpectedDevice:
     identity = identity_of(device)
     why = " - ".join(part for part in (device["state"], device["error"]) if part)
-    own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
-    data_names = [each.data_name for each in declared_streams(device["sensor"], own)]
-    expected = _expected(identity, data_names, why)
+    own = [each["data_name"] for each in device.get("declared", ())]
+    # Streams that the settings declare, else those of the sensor's kind.
+    streams = own or [each.data_name for each in declaration(device["sensor"]).streams]
+    expected = _expected(identity, streams, why)
     return replace(expected, away=away.get(identity, ""))
 
 

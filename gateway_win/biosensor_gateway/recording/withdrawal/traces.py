@@ -15,10 +15,9 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
-from biosensor_common.naming import sanitise
+from biosensor_common.naming import label, sanitise
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
-from biosensor_gateway.settings.names import label
 from biosensor_gateway.system.new_file import new_file
 
 INSTEAD = "withdrawn"

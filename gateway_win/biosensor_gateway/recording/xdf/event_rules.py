@@ -12,8 +12,7 @@ from typing import Any, NamedTuple, cast
 from biosensor_common.naming import AGENT
 from biosensor_common.plausible import finite
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS
-from biosensor_gateway.agent.selection import device_name, holders
+from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS, device_name, holders
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader

@@ -10,9 +10,9 @@ from enum import Enum, auto, unique
 from pathlib import Path
 from typing import TypeVar
 
+from biosensor_common.naming import label
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.recording.contents.stream import Stream
-from biosensor_gateway.settings.names import label
 
 # Includes types of other programs; https://github.com/sccn/xdf/wiki/MoCap-Meta-Data.
 _MOTION_TYPES: Mapping[str, str] = {
