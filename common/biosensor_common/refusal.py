@@ -255,6 +255,10 @@ class Refusal(Enum):
     )
 
     # Features of streams.
+    FEATURES_ENDED = _passing(
+        "features_ended",
+        "live features had ended ({why}) and were started again: a part is missing",
+    )
     NO_FEATURES = _standing("no_features", "{why}")
     WRONG_RATE = _standing("wrong_rate", "{why}")
     STAMPS_LEFT_OUT = _passing("stamps_left_out", "{why}")

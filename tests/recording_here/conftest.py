@@ -35,7 +35,7 @@ def begin(recording: LocalRecorder, request: RecordingRequest, presence: Presenc
 
 
 class Sources:
-    """Regular streams that deliver until they are taken away. A context manager."""
+    """Streams that deliver until they are taken away. A context manager."""
 
     def __init__(self, *names: str) -> None:
         self._outlets: dict[str, pylsl.StreamOutlet] = {}
@@ -55,8 +55,9 @@ class Sources:
         self._thread.join()
         self._outlets.clear()
 
-    def add(self, name: str) -> None:
-        info = pylsl.StreamInfo(name, "EEG", 2, RATE_HZ, "float32", f"{name}-id")
+    def add(self, name: str, rate_hz: int = RATE_HZ) -> None:
+        """Let a stream deliver; one without a rate as often as it can."""
+        info = pylsl.StreamInfo(name, "EEG", 2, rate_hz, "float32", f"{name}-id")
         with self._lock:
             self._outlets[name] = pylsl.StreamOutlet(info)
             self._begun[name], self._pushed[name] = pylsl.local_clock(), 0
@@ -77,6 +78,10 @@ class Sources:
                     self._push_what_is_due(name)
 
     def _push_what_is_due(self, name: str) -> None:
+        if not self._outlets[name].get_info().nominal_srate():
+            self._outlets[name].push_sample([1.0, float(self._pushed[name] % 7)])
+            self._pushed[name] += 1
+            return
         begun, first = self._begun[name], self._pushed[name]
         due = int((pylsl.local_clock() - begun) * RATE_HZ)
         # Whoever has no time pushes later, and as many.

@@ -140,9 +140,27 @@ def test_a_stream_that_has_not_begun_is_named_until_it_has(written: Written) -> 
 def test_a_slow_stream_has_time_for_some_samples(written: Written) -> None:
     written.write(HEAD + stream_header(2, "slow", rate=0.1))
     written.write(data(1, 101.0) + data(2, 101.0) + offset(1, 106.0) + data(1, 130.0))
-    assert written.codes() == [("one", "no-offsets"), ("slow", "no-offsets")]
+    assert written.codes() == [("", "no-offsets")]
     written.write(offset(1, 131.5) + offset(2, 131.5) + data(1, 131.5))
     assert written.codes() == [("slow", "stopped")]
+
+
+def test_whose_program_gives_no_answer_is_named_although_its_clock_offset_is_repeated(
+    written: Written,
+) -> None:
+    written.write(HEAD + MARKERS + data(1, 100.0))
+    for k in range(10):
+        # The program of the markers ends after 10 s.
+        answer = offset(3, 101.0 + 5 * k, 1.2345678e-5 + min(k, 2) * 1e-8)
+        written.write(offset(1, 101.0 + 5 * k, k * 1.1e-8) + answer)
+        written.write(data(1, *(101.0 + 5 * k + n for n in range(6))))
+        is_long = 5 * (k - 2) + 5 > 20
+        assert written.codes() == [("marks", "no-offsets")] * is_long, k
+    (found,) = written.growth.problems()
+    assert found.level is Level.WARNING
+    assert found.text.startswith("no clock offsets for 40 s: its program has ended")
+    written.write(offset(3, 151.0, 1.25e-5))
+    assert written.codes() == []
 
 
 def test_what_had_waited_in_a_device_is_no_beginning(written: Written) -> None:

@@ -321,6 +321,25 @@ def test_a_killed_supervisor_closes_the_file(begun: Begun) -> None:
     assert set(loaded(ended.file)) == {"chest-id", "wrist-id"}
 
 
+@pytest.mark.parametrize("recorder", [LAB_RECORDER, OWN])
+def test_a_program_that_ends_early_is_said_where_no_rate_shows_it(
+    recorder: str, sources: Sources, state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only(recorder, monkeypatch)
+    sources.add("watch", rate_hz=0)
+    recording = LocalRecorder(state)
+    recording.start(request_of(tmp_path), sources.presence)
+    wait_until(lambda: codes(recording) == {}, "all is there")
+    time.sleep(6.0)
+    sources.remove("watch")
+    wait_until(lambda: codes(recording) == {"watch": "no-offsets"}, "it is said")
+    ended = recording.stop()
+    assert ended.verdict.colour is Colour.AMBER
+    (found,) = (each for each in ended.verdict.findings if each.level is Level.WARNING)
+    assert (found.code, found.stream) == ("no-answer", "watch")
+    assert "to the end: its program had ended, so" in found.text
+
+
 def test_a_supervisor_that_its_service_ends_closes_the_file(begun: Begun) -> None:
     # As systemd does: all processes of the service.
     for process in (begun.program, begun.supervisor):

@@ -10,7 +10,7 @@ import math
 import socket
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pylsl
@@ -19,6 +19,8 @@ import pytest
 from biosensor_common.lsl import inlet as inlet_module
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.cli import agent_process
+from biosensor_gateway.cli.agent_process import FeatureProcess
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.live import Live
@@ -26,6 +28,7 @@ from biosensor_gateway.page.network import stream_list as listing_module
 from biosensor_gateway.page.network.stream import Placer
 from biosensor_gateway.page.network.stream_list import StreamList
 from biosensor_gateway.page.network.view import Viewer, _clock_note
+from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
 from biosensor_gateway.streaming.outlets import MAX_WAITING, Outlet, spare_outlet
@@ -207,6 +210,18 @@ def features(
     live.read()
     assert said
     return in_status(live.refusals)
+
+
+@provokes(Refusal.FEATURES_ENDED)
+def features_ended(patch: pytest.MonkeyPatch) -> Shown:
+    def missing(_: object) -> NoReturn:
+        raise FileNotFoundError(2, "No such file or directory")
+
+    patch.setattr(agent_process, "start_for", missing)
+    refusals = Refusals(say=lambda _: process.end_soon())
+    process = FeatureProcess(LslSettings(), refusals)
+    process._keep()
+    return in_status(refusals)
 
 
 @provokes(Refusal.NO_FEATURES)

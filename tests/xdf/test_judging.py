@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -985,3 +985,99 @@ def test_a_restart_is_not_told_again_for_each_stream() -> None:
     assert by_event([again, head, gap]) == [(head, [gap])]
     # One whose event is in no list stands for itself.
     assert by_event([again, gap]) == [(again, []), (gap, [])]
+
+
+# A program that is away gives no answer, so the recorder repeats its last clock offset.
+MEASURED_S = (1.23456789e-4, 1.31456781e-4, 1.19456788e-4, 1.27456783e-4)
+
+
+class Sender(NamedTuple):
+    """A stream without a rate, whose program is away from some clock offsets on."""
+
+    name: str
+    away: range  # Which of its clock offsets, each 5 s, repeat the one before.
+    kind: str = "HR"
+    host: str = "pc2"
+    rate: float = 0.0
+    step_s: float = 0.0  # What the recorder rounds its measurements to.
+    sends: bool = False  # Whether its samples come nevertheless.
+
+
+def _sent(senders: Sequence[Sender]) -> bytes:
+    parts = [
+        x.stream_header(n, each.name, kind=each.kind, rate=each.rate, host=each.host)
+        for n, each in enumerate(senders, 1)
+    ]
+    kept = [MEASURED_S[0]] * len(senders)
+    counts = [0] * len(senders)
+    for place in range(13):
+        for n, each in enumerate(senders):
+            if place not in each.away:
+                kept[n] = MEASURED_S[place % 4] + n * 1e-6 + place * 1e-8
+                if each.step_s:
+                    kept[n] = round(MEASURED_S[0] / each.step_s) * each.step_s
+            parts.append(x.clock_offset(n + 1, 1000.0 + 5 * place, kept[n]))
+            # Its last samples may come after its last answer.
+            if each.sends or place not in each.away:
+                stamps = [1000.5 + 5 * place + k for k in range(5)]
+                parts.append(x.samples(n + 1, "float32", [[60.0 + k] for k in range(5)], stamps))
+                counts[n] += 5
+    return x.xdf(*parts, *(x.footer(n, count) for n, count in enumerate(counts, 1)))
+
+
+WATCH = Sender("watch", range(5, 13))
+HERE = Sender("gaze", range(0))
+
+
+@pytest.mark.parametrize(
+    ("senders", "said"),
+    [
+        ([WATCH], "19.5 s to the end: its program had ended or its network was away"),
+        ([WATCH, HERE], "19.5 s to the end: its program had ended, so"),
+        ([WATCH, HERE._replace(host="pc1")], "its program had ended or its network was away"),
+        ([WATCH._replace(away=range(4, 7)), HERE], "from 14.5 s to 34.5 s: its program had ended"),
+        ([Sender("marks", range(5, 13), "Markers")], "or its network was away"),
+    ],
+)
+def test_a_program_that_was_away_is_said_where_no_rate_shows_it(
+    senders: list[Sender], said: str
+) -> None:
+    report = check(_sent(senders))
+    assert codes(report, Level.WARNING) >= {("no-answer", senders[0].name)}
+    assert said in text_of(report, "no-answer", senders[0].name)
+    assert verdict(report).colour is Colour.AMBER
+
+
+def test_an_experiment_may_end_before_the_recording() -> None:
+    report = check(_sent([Sender("marks", range(5, 13), "Markers"), HERE]))
+    assert ("no-answer", "marks") in codes(report, Level.NOTE)
+
+
+def test_streams_of_one_program_are_one_event() -> None:
+    report = check(_sent([WATCH, WATCH._replace(name="state"), HERE]))
+    (found,) = (each for each in report.findings if each.code == "no-answer")
+    assert found.text.startswith("watch and state: no answer from 19.5 s")
+
+
+@pytest.mark.parametrize(
+    "sender",
+    [
+        WATCH._replace(away=range(0)),
+        # Once a busy network gives no measurement either.
+        WATCH._replace(away=range(5, 6)),
+        # What a recorder has rounded repeats by chance.
+        WATCH._replace(step_s=1e-6),
+        WATCH._replace(step_s=1e-3),
+        WATCH._replace(sends=True),
+        # Its gaps are told.
+        WATCH._replace(rate=1.0),
+    ],
+)
+def test_nobody_is_called_away_without_need(sender: Sender) -> None:
+    assert "no-answer" not in {code for code, _ in codes(check(_sent([sender, HERE])))}
+
+
+def test_a_clock_that_is_noted_again_a_few_microseconds_early_was_not_restarted() -> None:
+    offsets = [(1000.0, 4e-6), (1005.0, -4.7e-6), (1004.9999953, 0.0), (1004.9999953, 0.0)]
+    report = check(_with_offsets([*offsets, (1026.0, 3e-6)]))
+    assert only(report).figures.offsets.resets == 0

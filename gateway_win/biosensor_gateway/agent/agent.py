@@ -416,6 +416,11 @@ class Agent:
             for source, refusals in device.sink.refused.items()
         }
 
+    @property
+    def refusals(self) -> Refusals:
+        """What is refused of no single device."""
+        return self._markers.refusals
+
     def refusals_of_devices(self) -> dict[str, Refusals]:
         """Return the refusals of each device by the source_id of its first stream."""
         opened = [sink for sink in self._sinks_with_room() if sink.counters]

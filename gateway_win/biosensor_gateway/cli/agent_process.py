@@ -264,7 +264,7 @@ def _run_agent(
         controlled = partial(_run_controlled, agent, folder)
         with (
             TwinWatch(agent.refusals_of_devices),
-            FeatureProcess(loaded.lsl) if features else nullcontext() as process,
+            FeatureProcess(loaded.lsl, agent.refusals) if features else nullcontext() as process,
         ):
             if process is not None:
                 agent.on_end = process.end_soon
@@ -348,10 +348,15 @@ class FeatureProcess:
 
     A separate process, so that computing features never delays a sample of the agent. It reads
     the agent's LSL streams like any other program.
+
+    Parameters
+    ----------
+    refusals
+        Gets each of its ends but the last.
     """
 
-    def __init__(self, lsl: LslSettings) -> None:
-        self._lsl = lsl
+    def __init__(self, lsl: LslSettings, refusals: Refusals) -> None:
+        self._lsl, self._refusals = lsl, refusals
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -384,6 +389,7 @@ class FeatureProcess:
                 return
             delay_s = backoff.next_s(time.monotonic() - began)
             when = f"in {delay_s:g} s" if delay_s else "now"
+            self._refusals.refuse(Refusal.FEATURES_ENDED, why=ending)
             _log.warning(f"live features have ended ({ending}) and are started again {when}")
             self._stopping.wait(delay_s)
 

@@ -19,6 +19,7 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import LATELY_S
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import clock_time, described, names
+from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.container import BOUNDARY, MAGIC, ChunkError, Frame, Tag
 from biosensor_gateway.recording.xdf.counters import (
     NEAR_S,
@@ -53,6 +54,7 @@ from biosensor_gateway.recording.xdf.samples import (
     decode_clock_offset,
     flat_text,
 )
+from biosensor_gateway.recording.xdf.sender_clock import repeats
 
 STOPPED_S = 5.0
 STOPPED_PERIODS = 3
@@ -64,7 +66,6 @@ BLOCK_BYTES = 8192
 STILL_S, EMPTY_S = 15.0, 90.0
 """How long a fast file may stay unchanged, and how long a file may stay empty."""
 LITTLE_SPACE_BYTES = 200_000_000
-_MOST_NAMED = 3
 
 _STREAM_ID_BYTES = 4
 # Length of the sections in which another program's stream is analysed.
@@ -307,6 +308,7 @@ class _StreamReader:
         self.received_at: float | None = None
         self.measured_at: float | None = None
         self.samples = self.offsets = 0
+        self.is_repeated = False  # Whether the newest clock offset is the one before once more.
         self.gaps = Gaps()
         self.log = EventLog() if header.is_events else None
         self.counted = Counted()
@@ -359,8 +361,9 @@ class _StreamReader:
         measured = decode_clock_offset(content)
         if measured is None:
             return None  # nothing is dropped: an offset without a time is none
-        self.offsets += 1
-        taken_at, self._offset = measured
+        taken_at, offset = measured
+        self.is_repeated = self.offsets > 0 and repeats(self._offset, offset)
+        self.offsets, self._offset = self.offsets + 1, offset
         # This is the true time, whatever the timestamps of samples say.
         self.reached = taken_at + self._offset
         return self.reached
@@ -456,7 +459,8 @@ class Growth:
         if not self._is_closed:
             open_ones = [e for e in streams if not e.is_closed and e.source_id not in silent]
             for each in open_ones:
-                found += self._problems_of_stream(each)
+                found += self._stopped(each)
+            found += self._unmeasured(open_ones)
             found += self._not_begun(open_ones)
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
 
@@ -632,7 +636,8 @@ class Growth:
         if before > now and before == self._newest:
             self._newest = max(each.reached for each in self._streams.values())
         self._reach(stream)
-        stream.measured_at = self._newest
+        if not stream.is_repeated:
+            stream.measured_at = self._newest
 
     def _reach(self, stream: _StreamReader) -> None:
         """Advance the time of the whole file to that of a stream."""
@@ -734,29 +739,45 @@ class Growth:
             text = "it is required and is not in the recording"
             yield Finding(Level.ERROR, "missing", source_id, text)
 
-    def _problems_of_stream(self, stream: StreamProgress) -> Iterator[Finding]:
-        limit_s = self._longest_age_s(stream)
-        age_s = self._length_s if stream.age_s is None else stream.age_s
-        if stream.nominal_hz and age_s > limit_s:
+    def _stopped(self, stream: StreamProgress) -> Iterator[Finding]:
+        age_s = self._age_s(stream)
+        if self._has_stopped(stream):
             since = "since the recording started" if not stream.samples else f"for {age_s:.0f} s"
             text = f"none of its data was recorded {since}, while other streams continue"
             yield Finding(Level.ERROR, "stopped", stream.name, text)
-            return  # nothing is dropped: that it has stopped is told
-        unmeasured_s = self._length_s if stream.offset_age_s is None else stream.offset_age_s
-        if unmeasured_s > OFFSETS_DUE_S:
+
+    def _age_s(self, stream: StreamProgress) -> float:
+        return self._length_s if stream.age_s is None else stream.age_s
+
+    def _has_stopped(self, stream: StreamProgress) -> bool:
+        return bool(stream.nominal_hz) and self._age_s(stream) > self._longest_age_s(stream)
+
+    def _unmeasured(self, streams: Sequence[StreamProgress]) -> Iterator[Finding]:
+        """Yield streams whose senders do not answer, once for each computer.
+
+        If they come evenly, they go on nevertheless, or have stopped, which is told.
+        """
+        silent: dict[tuple[str, Level], dict[str, float]] = {}
+        for each in streams:
+            age_s = self._length_s if each.offset_age_s is None else each.offset_age_s
+            if age_s > OFFSETS_DUE_S and not self._has_stopped(each):
+                level = Level.ERROR if each.nominal_hz else Level.WARNING
+                silent.setdefault((each.host, level), {})[each.name] = age_s
+        for (_, level), ages_s in silent.items():
+            names = list(ages_s)
+            of, whose = ("", "its") if len(names) == 1 else (f" of {listed(names)}", "their")
             text = (
-                f"its clock has not been measured for {unmeasured_s:.0f} s: its program has ended, "
-                "or its answers do not arrive"
+                f"no clock offsets{of} for {max(ages_s.values()):.0f} s: {whose} program has "
+                "ended, or its answers do not arrive"
             )
-            yield Finding(Level.ERROR, "no-offsets", stream.name, text)
+            yield Finding(level, "no-offsets", "" if of else names[0], text)
 
     def _not_begun(self, streams: Sequence[StreamProgress]) -> Iterator[Finding]:
         """Yield regular streams without a sample yet, before they count as stopped."""
         due = [each for each in streams if each.nominal_hz and not each.samples]
         names = [each.name for each in due if self._length_s <= self._longest_age_s(each)]
         if names:
-            more = f" and {len(names) - _MOST_NAMED} more" * (len(names) > _MOST_NAMED)
-            text = f"nothing recorded yet from {', '.join(names[:_MOST_NAMED])}{more}"
+            text = f"nothing recorded yet from {listed(names)}"
             yield Finding(Level.WARNING, "not-begun", "", text)
 
     def _longest_age_s(self, stream: StreamProgress) -> float:

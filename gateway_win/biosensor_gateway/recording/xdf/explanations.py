@@ -297,6 +297,14 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "computers cannot be aligned.",
         "Record for at least ten seconds, and allow LSL's ports in the firewall.",
     ),
+    "no-answer": Explanation(
+        "A program was away",
+        "The recorder got no answer and no sample from the program of a stream that has no rate. "
+        "It had ended, or its computer was out of reach; what it would have sent then is not in "
+        "the file. Streams with a rate have gaps instead.",
+        "Nothing, if it was to send nothing then, as an experiment that was over. Otherwise leave "
+        "that time out.",
+    ),
     "offset-scatter": Explanation(
         "Clock offsets scatter",
         "Times of streams of other computers are less exact than usual, by about the stated "

@@ -42,7 +42,12 @@ from biosensor_gateway.recording.xdf.header import (
 )
 from biosensor_gateway.recording.xdf.rate_changes import Curve, RateChange
 from biosensor_gateway.recording.xdf.samples import Constants, decode, decode_clock_offset
-from biosensor_gateway.recording.xdf.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf.sender_clock import (
+    ASKED_EVERY_S,
+    SenderClock,
+    Silence,
+    silences,
+)
 
 # Numbers of timestamps of one stream.
 _MOST_IN_MEMORY = _BLOCK = 1 << 16
@@ -301,6 +306,26 @@ class RecordedStream:
             for begin in range(first, last, _BLOCK):
                 stamps = self._stamps.read(begin, min(begin + _BLOCK, last))
                 yield clock.to_recorder(stamps, number)
+
+    def silences(self, end_s: float) -> list[Silence]:
+        """Return when its sender neither answered the recorder nor sent anything.
+
+        Parameters
+        ----------
+        end_s
+            As for `sender_clock.silences`.
+        """
+        found = silences(self.clock_offsets, end_s)
+        if found and self.sample_count:
+            times = np.concatenate(list(self.times_in_blocks()))
+            # It may send a while after one answer, and before another.
+            edge_s = ASKED_EVERY_S + 1.0
+            found = [
+                each
+                for each in found
+                if not ((times > each.since_s + edge_s) & (times < each.until_s - edge_s)).any()
+            ]
+        return found
 
     @property
     def rate_changes(self) -> tuple[RateChange, ...]:

@@ -14,6 +14,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,12 @@ EXTRAPOLATED_S = 600.0
 """The drift is extrapolated this long before the first and after the last measurement."""
 MOST_APART_S = 30 * 86400.0
 """Offsets that put the recorder's clock further apart are not of one recording."""
+ASKED_EVERY_S = 5.0
+"""From one clock offset to the next."""
+# Recorders that round their measurements, and half a tick of Windows' clock, in s.
+_ROUNDED_S, _COARSE_S = 1e-6, 5e-8
+# Who does not answer this often was away; the second is for measurements that may agree by chance.
+_FEWEST, _FEWEST_COARSE = 3, 5
 # Samples come soon after the clock offsets of their run, unless a sender stamps by another clock.
 _FAR_S = 3600.0
 
@@ -228,7 +236,8 @@ def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[
         number
         for number, (_, time_s, offset) in enumerate(known)
         if number == 0
-        or time_s < known[number - 1][1]
+        # A recorder that loses a sender may note the time before once more, some µs off.
+        or time_s < known[number - 1][1] - _LEAST_STEP_S
         or abs(offset - known[number - 1][2]) > JUMP_S
     ]
     ends = [*begins[1:], len(known)] if known else []
@@ -238,6 +247,57 @@ def runs_of(offsets: Sequence[tuple[float, float]]) -> list[tuple[int, Sequence[
         for first, last in pairwise([begin, *_steps(known, begin, end), end])
     ]
     return [(run[0][0], [(time_s, offset) for _, time_s, offset in run]) for run in runs]
+
+
+class Silence(NamedTuple):
+    """Times between which a sender did not answer, in s on the recorder's clock."""
+
+    since_s: float
+    until_s: float  # Infinite if it did not answer any more.
+
+
+def repeats(before: float, offset: float) -> bool:
+    """Whether a clock offset is the one before once more, because none could be measured.
+
+    liblsl keeps its last measurement while a sender does not answer, and two measurements never
+    agree in all digits. Rounded ones tell nothing.
+    """
+    return offset == before and not _is_multiple(offset, _ROUNDED_S)
+
+
+def silences(offsets: Sequence[Offset], end_s: float) -> list[Silence]:
+    """Return when a sender did not answer the recorder, from its last answer to the next.
+
+    Parameters
+    ----------
+    end_s
+        When the recorder measured the last clock offset of any stream, on its own clock.
+    """
+    answers: list[tuple[float, float]] = []  # Times on the recorder's clock, and offsets.
+    before = math.nan
+    for time_s, value in plausible(offsets):
+        if not repeats(before, value):
+            answers.append((time_s + value, value))
+        before = value
+    times_s = [time_s for time_s, _ in answers]
+    steps_s = [after - one for one, after in pairwise(times_s)]
+    usual_s = max(ASKED_EVERY_S, median(steps_s) if steps_s else 0.0)
+    found: list[Silence] = []
+    for (since_s, value), until_s in zip(answers, [*times_s[1:], math.inf], strict=False):
+        fewest = _FEWEST_COARSE if _is_multiple(value, _COARSE_S) else _FEWEST
+        if min(until_s, end_s) - since_s > (fewest - 0.2) * usual_s:
+            found.append(Silence(since_s, until_s))
+    return found
+
+
+def plausible(offsets: Sequence[Offset]) -> Sequence[Offset]:
+    """Return the clock offsets that can be right, by `is_plausible`."""
+    is_good = is_plausible(np.array(offsets, np.float64).reshape(-1, 2)).tolist()
+    return [offset for offset, is_one in zip(offsets, is_good, strict=True) if is_one]
+
+
+def _is_multiple(offset: float, step_s: float) -> bool:
+    return abs(offset / step_s - round(offset / step_s)) < 1e-3
 
 
 def _steps(known: Sequence[tuple[int, float, float]], begin: int, end: int) -> list[int]:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from biosensor_common.quantities import ContentType, Unit
+from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
+from biosensor_gateway.recording.xdf.event_rules import Absence
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.pace import Pace
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.recording.xdf.samples import flat_text
-from biosensor_gateway.recording.xdf.sender_clock import SenderClock, is_plausible
+from biosensor_gateway.recording.xdf.sender_clock import (
+    SenderClock,
+    Silence,
+    is_plausible,
+    plausible,
+)
 
 Verdict = tuple[Level, str, str]
 """Level, code and text of a finding."""
@@ -54,6 +62,94 @@ def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
     for rule in _RULES:
         for level, code, text in rule(measured, extent):
             yield Finding(level, code, measured.name, text)
+
+
+def judge_senders(
+    streams: Sequence[Measured], extent: Extent, away: Sequence[Absence] = ()
+) -> Iterator[Finding]:
+    """Report programs that were away where no sample shows it, by their missing answers.
+
+    Streams with a rate have gaps then, and of what an agent counts it is known what is missing.
+    Streams of one computer that were away at the same time are reported together.
+    """
+    asked = (
+        sum(offset) for each in streams for offset in plausible(each.stream.clock_offsets)[-1:]
+    )
+    end_s = max(asked, default=0.0)
+    absent = {id(each): each.stream.silences(end_s) for each in streams}
+    events: list[tuple[Silence, list[Measured]]] = []
+    for each in streams:
+        header = each.stream.header
+        is_told = header.is_regular or each.counters is not None or bool(each.figures.clock_error)
+        # A recorder gives up a stream that nothing tells from another one, which is told, too.
+        is_told |= not header.source_id
+        for silence in () if is_told else absent[id(each)]:
+            event = next((own for at, own in events if _is_one(at, silence, own[0], each)), None)
+            if event is None:
+                events.append((silence, [each]))
+            else:
+                event.append(each)
+    for silence, own in sorted(events, key=lambda event: event[0]):
+        # If others of its computer answered, the network was there, and a program had ended.
+        host = own[0].stream.header.hostname
+        is_ended = any(
+            each.figures.offsets.count and not any(_overlap(silence, at) for at in absent[id(each)])
+            for each in streams
+            if each.stream.header.hostname == host != ""
+        )
+        yield _sender_was_away(silence, own, is_ended, extent, away)
+
+
+def _is_one(one: Silence, other: Silence, *streams: Measured) -> bool:
+    """Whether two streams were away at the same time, as the recorder asks every few seconds."""
+    is_one_host = len({each.stream.header.hostname for each in streams}) == 1
+    return is_one_host and all(
+        a == b or abs(a - b) < 2 * LATE_S for a, b in zip(one, other, strict=True)
+    )
+
+
+def _sender_was_away(
+    silence: Silence,
+    own: Sequence[Measured],
+    is_ended: bool,
+    extent: Extent,
+    away: Sequence[Absence],
+) -> Finding:
+    headers = [each.stream.header for each in own]
+    since = f"from {max(0.0, silence.since_s - extent.begin):.1f} s"
+    is_last = silence.until_s == math.inf
+    until = "to the end" if is_last else f"to {silence.until_s - extent.begin:.1f} s"
+    why = "its program had ended" if is_ended else "its program had ended or its network was away"
+    text = f"no answer {since} {until}: {why}, so what it would have sent then is missing"
+    names = list(dict.fromkeys(each.name for each in own))
+    if len(names) > 1:
+        text = f"{listed(names)}: {text}"
+    # An experiment often ends before the recording, and sends nothing between two runs.
+    is_usual = is_ended and all(each.content_type == ContentType.MARKERS for each in headers)
+    causes = [each.finding.text for each in away if _explains(each, silence, own)]
+    return Finding(
+        Level.NOTE if is_usual else Level.WARNING,
+        "no-answer",
+        names[0] if len(names) == 1 else "",
+        text,
+        part_of=causes[0] if causes else "",
+    )
+
+
+def _overlap(one: Silence, other: Silence) -> bool:
+    return one.since_s < other.until_s and other.since_s < one.until_s
+
+
+def _explains(absence: Absence, silence: Silence, own: Sequence[Measured]) -> bool:
+    """Whether the agent was away in this time, and with it all these streams."""
+    if absence.device is not None or not all(absence.concerns(e.stream.header) for e in own):
+        return False
+    offset_s = own[0].recorder_offset_s
+    spells = [
+        Silence((spell.since or 0.0) + offset_s, (spell.until or math.inf) + offset_s)
+        for spell in absence.spells
+    ]
+    return any(_overlap(silence, each) for each in spells)
 
 
 def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
