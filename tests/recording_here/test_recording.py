@@ -328,7 +328,7 @@ def test_a_program_that_ends_early_is_said_where_no_rate_shows_it(
     only(recorder, monkeypatch)
     sources.add("watch", rate_hz=0)
     recording = LocalRecorder(state)
-    recording.start(request_of(tmp_path), sources.presence)
+    begin(recording, request_of(tmp_path), sources.presence())
     wait_until(lambda: codes(recording) == {}, "all is there")
     time.sleep(6.0)
     sources.remove("watch")
