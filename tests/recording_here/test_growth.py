@@ -140,7 +140,8 @@ def test_a_stream_that_has_not_begun_is_named_until_it_has(written: Written) -> 
 def test_a_slow_stream_has_time_for_some_samples(written: Written) -> None:
     written.write(HEAD + stream_header(2, "slow", rate=0.1))
     written.write(data(1, 101.0) + data(2, 101.0) + offset(1, 106.0) + data(1, 130.0))
-    assert written.codes() == [("", "no-offsets")]
+    assert written.codes() == [("slow", "no-offsets"), ("one", "no-offsets")]
+    assert [each.level for each in written.growth.problems()] == [Level.ERROR, Level.WARNING]
     written.write(offset(1, 131.5) + offset(2, 131.5) + data(1, 131.5))
     assert written.codes() == [("slow", "stopped")]
 

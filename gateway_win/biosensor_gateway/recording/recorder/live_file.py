@@ -761,7 +761,9 @@ class Growth:
         for each in streams:
             age_s = self._length_s if each.offset_age_s is None else each.offset_age_s
             if age_s > OFFSETS_DUE_S and not self._has_stopped(each):
-                level = Level.ERROR if each.nominal_hz else Level.WARNING
+                # A clock that was measured before is known, but for its drift since.
+                is_known = each.clock_offsets or not each.nominal_hz
+                level = Level.WARNING if is_known else Level.ERROR
                 silent.setdefault((each.host, level), {})[each.name] = age_s
         for (_, level), ages_s in silent.items():
             names = list(ages_s)
