@@ -28,7 +28,8 @@ pytestmark = pytest.mark.nightly
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STREAMS = "/lsl_to_ros/streams"
 # An outlet takes two ports of the 256 that tests look at.
-WAVE = 100
+WAVE = 60
+"""For each outlet liblsl opens about ten files, and by default a process may open 1,024."""
 SUBSCRIBED = 8
 HOSTILE = [
     # Quotes, blanks and what shells, XML, XPath, URLs, paths and ROS make something of.
