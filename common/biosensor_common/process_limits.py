@@ -139,7 +139,7 @@ _M_ARENA_MAX = -8
 _VARIABLE, _TUNABLES, _TUNABLE = "MALLOC_ARENA_MAX", "GLIBC_TUNABLES", "glibc.malloc.arena_max"
 
 
-def limit_arenas(environment: Mapping[str, str], arenas: int = ARENAS) -> bool:
+def limit_arenas(environment: Mapping[str, str]) -> bool:
     """Limit glibc's malloc arenas, which default to up to eight per processor.
 
     Memory that an ended thread leaves in its arena can be reused only by threads of that arena.
@@ -149,8 +149,6 @@ def limit_arenas(environment: Mapping[str, str], arenas: int = ARENAS) -> bool:
     ----------
     environment
         Variables of the process; if the user has set the number there, nothing is changed.
-    arenas
-        Largest number of arenas, at least 1.
 
     Returns
     -------
@@ -162,7 +160,7 @@ def limit_arenas(environment: Mapping[str, str], arenas: int = ARENAS) -> bool:
         return False
     # musl has no mallopt.
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    return mallopt is not None and bool(mallopt(_M_ARENA_MAX, arenas))
+    return mallopt is not None and bool(mallopt(_M_ARENA_MAX, ARENAS))
 
 
 END_S = 5.0

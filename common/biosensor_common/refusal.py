@@ -32,8 +32,8 @@ def _standing(word: str, sentence: str, level: Level = Level.WARN) -> _Told:
     return word, level, sentence, True
 
 
-def _passing(word: str, sentence: str, level: Level = Level.WARN) -> _Told:
-    return word, level, sentence, False
+def _passing(word: str, sentence: str) -> _Told:
+    return word, Level.WARN, sentence, False
 
 
 @unique

@@ -295,7 +295,7 @@ class Biquad:
         self._is_settled = False
 
     def take(self, value: float) -> float:
-        """Return the next value; the filter starts in the steady state for the first value."""
+        """Filter the next value, as if the input had been constant before the first one."""
         if not self._is_settled:
             self._is_settled = True
             out = 0.0 if self._is_high_pass else value

@@ -196,7 +196,7 @@ def test_every_row_has_a_stream_and_a_service_of_its_own() -> None:
 
 
 def test_turns_are_rates_over_roll_overs_and_standstill() -> None:
-    wheel = Revolutions(16, 1024)
+    wheel = Revolutions(16)
     assert math.isnan(wheel.rate(65535, 65024, 0.0))
     # Two turns in a second.
     assert wheel.rate(1, 512, 1.0) == pytest.approx(2.0)
@@ -212,7 +212,7 @@ def test_turns_whose_time_stands_still_or_steps_back_are_no_rate_that_is_believe
     bits: int, turns: int, ticks: int
 ) -> None:
     low, high = plausible.SPEED_M_S
-    wheel = Revolutions(bits, 1024)
+    wheel = Revolutions(bits)
     wheel.rate(1000, 40_000, 0.0)
     # Neither a speed nor a standstill, however long it goes on.
     for second in range(1, 8):
@@ -222,7 +222,7 @@ def test_turns_whose_time_stands_still_or_steps_back_are_no_rate_that_is_believe
 
 def test_a_long_stop_is_as_long_as_it_was() -> None:
     """The device's clock of 16 bits has rolled over meanwhile."""
-    wheel = Revolutions(0, 1024)
+    wheel = Revolutions(0)
     wheel.rate(10, 0, 1.0)
     assert wheel.rate(12, 1024, 2.0) == 2.0
     for second in range(3, 67):

@@ -323,6 +323,18 @@ def test_what_is_wider_or_higher_than_the_terminal_is_cut(bench: PanelOnScreen) 
     assert shown == [(f"{number} " + "z" * 60)[:39] for number in range(11)] + [""]
 
 
+@pytest.mark.parametrize(
+    ("columns", "lines", "shown"),
+    [(40, 2, ["one"]), (2, 12, ["o", "t"]), (40, 1, []), (1, 12, [])],
+)
+def test_a_window_has_room_from_two_lines_and_two_columns_on(
+    columns: int, lines: int, shown: list[str]
+) -> None:
+    small = PanelOnScreen(columns, lines)
+    small.show("one", "two")
+    assert [each for each in small.screen.lines if each] == shown
+
+
 def test_no_line_of_the_log_is_lost_when_the_window_becomes_narrower(bench: PanelOnScreen) -> None:
     bench.put("log 1\n")
     bench.show("a panel of some width", "second line")

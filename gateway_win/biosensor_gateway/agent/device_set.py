@@ -31,7 +31,7 @@ from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer, DeviceEvents, device_facts
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
-from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.system.device_log import names_in_log
 
 TICK_S = 0.05
@@ -50,15 +50,14 @@ class LoopLag:
     loop, and run from then on.
     """
 
-    def __init__(self, clock: Clock = LSL_CLOCK) -> None:
-        self._clock = clock
-        self._scheduled = clock()
+    def __init__(self) -> None:
+        self._scheduled = LSL_CLOCK()
         self._longest_s = self._longest_before_s = 0.0
         self._since = self._scheduled
 
     def seconds(self) -> float:
         """Return the longest delay of the last one or two seconds, the current one included."""
-        overdue_s = self._clock() - self._scheduled
+        overdue_s = LSL_CLOCK() - self._scheduled
         return min(MOST_S, max(overdue_s, self._longest_s, self._longest_before_s))
 
     def packet_delay_s(self) -> float:
@@ -68,9 +67,9 @@ class LoopLag:
     async def run(self) -> None:
         """Measure until cancelled."""
         while True:
-            self._scheduled = self._clock() + TICK_S
+            self._scheduled = LSL_CLOCK() + TICK_S
             await asyncio.sleep(TICK_S)
-            self._note(self._clock())
+            self._note(LSL_CLOCK())
 
     def _note(self, now: float) -> None:
         # Two intervals in turn, so that a delay is remembered for at least one whole interval.
@@ -107,10 +106,10 @@ class Device:
         self._events: DeviceEvents | None = None
 
     @classmethod
-    def from_settings(cls, settings: DeviceSettings, clock: Clock = LSL_CLOCK) -> Device:
+    def from_settings(cls, settings: DeviceSettings) -> Device:
         """Make the device of an entry of the settings."""
         entry, spec = driver(settings.sensor), declared(settings)
-        sink = DeviceSink(settings.identity, spec, clock)
+        sink = DeviceSink(settings.identity, spec)
         own = () if entry.declare is None else tuple(map(DeclaredStream.of, spec.streams))
         return cls(Supervisor(entry.make(settings, sink), sink), sink, own)
 

@@ -184,7 +184,9 @@ def confirm_start(
 
 
 def stand_by(simulate: str) -> None:
-    """Import everything, then wait until the supervisor starts this spare; open nothing before.
+    """Import everything, then wait as a spare process until the supervisor needs it.
+
+    It opens nothing before.
 
     Parameters
     ----------

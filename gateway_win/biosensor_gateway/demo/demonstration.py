@@ -167,7 +167,7 @@ class Programs:
 
     @contextmanager
     def started(self, name: str, command: Sequence[str]) -> Generator[None]:
-        """Run a program while the context lasts; with the first one, all begin to end."""
+        """Run a program while the context lasts; the first that ends asks all to end."""
         with self._log(name).open("wb") as log:
             process = subprocess.Popen(
                 command,

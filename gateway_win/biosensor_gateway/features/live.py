@@ -240,7 +240,7 @@ class _Stage:
                 self._sender.send(events, seconds)
 
     def remarks(self) -> list[Remark]:
-        """See `Link`."""
+        """Return what was noticed on the link."""
         return self._link.remarks()
 
     def close(self) -> None:

@@ -98,7 +98,7 @@ class Session:
 
     @property
     def agent(self) -> AgentState:
-        """Whether there is an agent."""
+        """Whether an agent runs, is starting or is absent."""
         return AgentState.RUNNING if self.has_agent else self._absence()
 
     @property

@@ -153,8 +153,8 @@ class AnswerView(BaseModel):
 class NetworkAnswer:
     """Answers the network check of one other computer, if it has the code."""
 
-    def __init__(self, settings: Path, folder: Path, port: int = ANSWER_PORT) -> None:
-        self._settings, self._folder, self._port = settings, folder, port
+    def __init__(self, settings: Path, folder: Path) -> None:
+        self._settings, self._folder = settings, folder
         self._answerer: Answerer | None = None
         self._task: asyncio.Task[None] | None = None
         self._view = AnswerView()
@@ -223,7 +223,7 @@ class NetworkAnswer:
     @contextlib.contextmanager
     def _opened(self) -> Generator[tuple[Answerer, WayHere]]:
         context = read_context(self._settings, self._folder)
-        with Answerer(context, AGENT, self._port) as answerer:
+        with Answerer(context, AGENT, ANSWER_PORT) as answerer:
             yield answerer, way_here(context, answerer.port)
 
 

@@ -119,8 +119,9 @@ class RecorderFolder:
         return True
 
     def try_lock(self) -> FileLock | None:
-        """Take the lock; None if a supervisor has it. A check holds it for a moment."""
+        """Take the lock; None if a supervisor holds it."""
         lock = self._lock()
+        # With patience, because a check whether one runs holds it for a moment, too.
         try:
             lock.acquire(timeout=_PATIENCE_S, poll_interval=_POLL_S)
         except Timeout:

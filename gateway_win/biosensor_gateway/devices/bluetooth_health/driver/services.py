@@ -37,15 +37,12 @@ class Revolutions:
     bits
         Width of the count, at which it overflows; 0 for none, as for a wheel, which may turn
         backwards [1]_. The rate is negative then, and also when a device restarts its count.
-    ticks_per_s
-        Resolution of the event time, which has 16 bits.
 
     .. [1] Bluetooth SIG, Cycling Speed and Cadence Service 1.0, 3.1.1.
     """
 
-    def __init__(self, bits: int, ticks_per_s: int) -> None:
+    def __init__(self, bits: int) -> None:
         self._modulus = 1 << bits if bits else math.inf
-        self._ticks_per_s = ticks_per_s
         self._last: _Event | None = None
         self._turned_s = -math.inf
 
@@ -78,8 +75,8 @@ class Revolutions:
 
     def _elapsed_s(self, last: _Event, now: _Event) -> float:
         """Return the time between two events; arrivals show how often the ticks overflowed."""
-        rest_s = (now.ticks - last.ticks) % _TIME_TURNS / self._ticks_per_s
-        period_s = _TIME_TURNS / self._ticks_per_s
+        rest_s = (now.ticks - last.ticks) % _TIME_TURNS / _TICKS_PER_S
+        period_s = _TIME_TURNS / _TICKS_PER_S
         periods = max(-1, round((now.heard_s - last.heard_s - rest_s) / period_s))
         return rest_s + periods * period_s
 
@@ -233,8 +230,8 @@ def _worn(found: Values) -> bool | None:
 
 def _turning(wheel_m: float) -> Sampling:
     """Calculate the rates of wheel and crank from counted revolutions."""
-    wheel = Revolutions(0, _TICKS_PER_S)
-    crank = Revolutions(16, _TICKS_PER_S)
+    wheel = Revolutions(0)
+    crank = Revolutions(16)
 
     def take(found: Values, arrival_s: float) -> list[float] | None:
         rates = [

@@ -286,9 +286,9 @@ class Link:
         return True
 
     def lose_control(self) -> None:
-        """Report the end of the connection, after all data sent before it were read.
+        """Report the end of the connection once all data that was sent before it has been read.
 
-        If this computer was asleep, there may be seconds of data.
+        After this computer was asleep, that may be seconds of data.
         """
         self._end_when_quiet(-1)
 

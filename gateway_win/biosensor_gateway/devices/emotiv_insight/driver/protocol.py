@@ -277,7 +277,7 @@ def token(result: object) -> str:
 
 
 def licence(result: object) -> Licence:
-    """Parse ``getLicenseInfo``; anything missing is not covered."""
+    """Parse the answer to ``getLicenseInfo``; a scope that it lacks is not licensed."""
     fields = object_of(object_of(result).get("license"))
     scopes = frozenset(text_of(each) for each in list_of(fields.get("scopes")))
     return Licence(scopes, expired=fields.get("expired") is True)

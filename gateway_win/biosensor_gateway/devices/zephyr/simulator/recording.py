@@ -175,7 +175,6 @@ class RecordedSource:
         cls,
         name: str = RECORDING_150_S,
         *,
-        speed: float = 1.0,
         on_end: Literal["silence", "hang_up"] = "silence",
     ) -> RecordedSource:
         """Return one of the recordings that come with the package.
@@ -184,7 +183,7 @@ class RecordedSource:
         ----------
         name
             `RECORDING_150_S` or `RECORDING_WITH_GAP`.
-        speed, on_end
+        on_end
             As for the class.
 
         Raises
@@ -197,7 +196,6 @@ class RecordedSource:
         return cls(
             folder.joinpath(f"{name}.dat").read_bytes(),
             read_timing(timing.read_text("ascii")) if timing.is_file() else None,
-            speed=speed,
             on_end=on_end,
         )
 

@@ -84,7 +84,7 @@ class Unfit:
     what: str = ""  # Why the first one does not fit, as the end of a sentence.
 
     def add(self, count: int, what: str) -> None:
-        """Add some samples."""
+        """Count further samples, and keep the reason of the first."""
         if count and not self.count:
             self.what = what
         self.count += count
