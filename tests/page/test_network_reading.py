@@ -22,7 +22,7 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import foreign_header
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.page.downsampling import MAX_ROWS_HZ, key_of, window
+from biosensor_gateway.page.downsampling import MAX_ROWS_HZ, chosen, key_of, window
 from biosensor_gateway.page.models import NetworkView, SeenDeviceView, SeenState
 from biosensor_gateway.page.network.source import NetworkSource, Reader
 from biosensor_gateway.page.network.stream import Placer
@@ -98,6 +98,11 @@ def reading() -> Generator[Reading]:
             yield running
         finally:
             running.reader.stop()
+
+
+def test_a_key_names_the_channels_that_a_browser_asks_for() -> None:
+    assert chosen([key_of(7), key_of(7, 8), key_of(12, 120)]) == {7: {0, 8}, 12: {120}}
+    assert chosen(["", "7:x", "-1", "7" * 20]) == {}
 
 
 @pytest.mark.seam

@@ -191,7 +191,7 @@ def ports(context: Context) -> Iterator[Finding]:
 
 
 def _discovery(port: int) -> Finding:
-    if _is_free(_KINDS["UDP"], port, shared=True):
+    if is_free(_KINDS["UDP"], port, shared=True):
         return ok(f"UDP {port} (discovery) is available")
     holder = _program(_owners("UDP", [port]).get(port))
     return error(
@@ -222,7 +222,8 @@ def _range(kind: str, ports: Ports, needed: int, edit: str) -> Finding:
     return warning(what, why, fix)
 
 
-def _is_free(kind: socket.SocketKind, port: int, *, shared: bool = False) -> bool:
+def is_free(kind: socket.SocketKind, port: int, *, shared: bool = False) -> bool:
+    """Whether a port is free on this computer, independent of firewalls."""
     with socket.socket(socket.AF_INET, kind) as attempt:
         # On POSIX the option only skips ended connections that still occupy the port; on
         # Windows it would take the port away from its owner.
@@ -239,14 +240,14 @@ def _is_free(kind: socket.SocketKind, port: int, *, shared: bool = False) -> boo
 
 def _held(kind: str, ports: Sequence[int]) -> dict[int, str]:
     """Return which program holds which port; ports of the other checks count as free."""
-    held = [port for port in ports if not _is_free(_KINDS[kind], port)]
+    held = [port for port in ports if not is_free(_KINDS[kind], port)]
     owners = _owners(kind, held)
     probes = _probes()
     # A port without an owner may have been freed meanwhile.
     return {
         port: _program(owners.get(port))
         for port in held
-        if owners.get(port) not in probes and (port in owners or not _is_free(_KINDS[kind], port))
+        if owners.get(port) not in probes and (port in owners or not is_free(_KINDS[kind], port))
     }
 
 

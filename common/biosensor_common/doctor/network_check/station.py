@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from biosensor_common.doctor.check import Context
 from biosensor_common.doctor.firewall import active_firewalls
-from biosensor_common.doctor.network import LSL_GROUP, adapters
+from biosensor_common.doctor.network import LSL_GROUP, adapters, is_free
 from biosensor_common.doctor.network_check.facts import (
     MAX_STREAMS,
     Arrivals,
@@ -355,15 +355,7 @@ def listed_streams(config: str) -> tuple[Stream, ...]:
 def sent_from_here(streams: Iterable[Stream]) -> tuple[Stream, ...]:
     """Return the streams of this computer; another one may have the same name."""
     named = [each for each in streams if each.host == socket.gethostname()]
-    return tuple(each for each in named if not _is_free(each.port))
-
-
-def _is_free(port: int) -> bool:
-    """Whether a TCP port is free on this computer, independent of firewalls."""
-    opened = _first_free(socket.SOCK_STREAM, [port])
-    if opened is not None:
-        opened.close()
-    return opened is not None
+    return tuple(each for each in named if not is_free(socket.SOCK_STREAM, each.port))
 
 
 def _computer(config: str, program: str, own: str, other: str) -> Computer:

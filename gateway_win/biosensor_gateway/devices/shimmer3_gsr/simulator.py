@@ -9,49 +9,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isnan, nan
 from types import MappingProxyType
 
 import numpy as np
 
+from biosensor_gateway.devices.shimmer.simulator import EXPECTED as ANY_SHIMMER
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block, Meter
 from biosensor_gateway.devices.shimmer.simulator.wire import Memory
-from biosensor_gateway.simulation.faults import FaultKind, Untidiness
-from biosensor_gateway.simulation.truth import (
-    NO_INTERVALS,
-    TELLS_ITS_RATE,
-    Expected,
-    Gap,
-    LossTolerance,
-)
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
-EXPECTED = Expected(
+EXPECTED = replace(
+    ANY_SHIMMER,
     without_contact=("gsr",),
     # The heart rate is computed from the pulse wave.
     by_agent=frozenset({"hr", "quality"}),
-    impossible={FaultKind.REPEAT: NO_INTERVALS, Untidiness.RATE: TELLS_ITS_RATE},
-    # Only the battery can be denied: measurements are set up before they are requested.
-    deniable=1,
-    gaps={
-        # The firmware stops streaming when the link is lost.
-        FaultKind.DROP: Gap.STOPPED,
-        FaultKind.REFUSE: Gap.STOPPED,
-        FaultKind.LATE: Gap.STOPPED,
-        FaultKind.RESTART: Gap.STOPPED,
-        # The radio link stays, so it only stops, silently, when the host closes the port.
-        FaultKind.STALL: Gap.UNKNOWN,
-        # It answers but sends no data, so whether it measures is unknown.
-        FaultKind.FORGET: Gap.UNKNOWN,
-        # It is restarted meanwhile, and since when it measures is unknown.
-        FaultKind.UNREADABLE: Gap.UNKNOWN,
-    },
-    # When the link breaks, a quarter of a second of data may be in its radio and in the buffers of
-    # a busy host's system.
-    loss_tolerance=LossTolerance(over_break=32),
 )
 
 BATTERY, PPG, GSR = 0x03, 0x12, 0x1C

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine, Sequence
 from itertools import count, cycle
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from bumble.gatt import Characteristic, Service
@@ -67,6 +67,18 @@ class Interval(NamedTuple):
 
     time: float  # LSL time of the second peak.
     rr: int  # Length [1/1024 s by the device's oscillator].
+
+
+class MeasurementStream(Protocol):
+    """A running measurement."""
+
+    async def run(self) -> None:
+        """Measure and send until cancelled."""
+        ...
+
+    def end(self) -> None:
+        """Record what was measured but not sent, after `run` was cancelled."""
+        ...
 
 
 class BeatDetector:

@@ -20,6 +20,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import EXPECTED as
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
     STRAP_EFFECTS,
     BeatDetector,
+    MeasurementStream,
     Strap,
     StrapDevice,
 )
@@ -55,18 +56,6 @@ class Pipe(Protocol):
 
     async def __call__(self, payload: bytes) -> bool:
         """Send a packet; return False if the host does not get all of it or cannot read it."""
-        ...
-
-
-class MeasurementStream(Protocol):
-    """A running measurement."""
-
-    async def run(self) -> None:
-        """Measure and send until cancelled."""
-        ...
-
-    def end(self) -> None:
-        """Record what was measured but not sent, after `run` was cancelled."""
         ...
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable
 from itertools import cycle
-from typing import Protocol
 
 import numpy as np
 from bumble.att import ATT_Error, Attribute, ErrorCode
@@ -13,7 +12,11 @@ from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import RR_TICKS_PER_S
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import BeatDetector, Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    BeatDetector,
+    MeasurementStream,
+    Strap,
+)
 from biosensor_gateway.devices.polar_h10.simulator import pmd
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ATT_HEADER_BYTES,
@@ -226,18 +229,6 @@ _INTERVAL_BYTES = 6
 _INTERVAL_ERROR_MS = 8
 
 
-class _MeasurementStream(Protocol):
-    """A running measurement."""
-
-    async def run(self) -> None:
-        """Measure and send until cancelled."""
-        ...
-
-    def end(self) -> None:
-        """Record what was measured but not sent, after `run` was cancelled."""
-        ...
-
-
 class _WaveformStream:
     """Samples at a constant rate.
 
@@ -387,7 +378,7 @@ class PmdService:
         self._quirks = quirks
         self._conversation = asyncio.Lock()
         self._answers: set[asyncio.Task[None]] = set()
-        self._streams: dict[Measurement, tuple[_MeasurementStream, asyncio.Task[None]]] = {}
+        self._streams: dict[Measurement, tuple[MeasurementStream, asyncio.Task[None]]] = {}
         self._control_point = self._describe_control_point()
         self._data = Characteristic[bytes](
             pmd.DATA_UUID, _Properties.NOTIFY, _Permissions.READABLE, b""
@@ -468,7 +459,7 @@ class PmdService:
                 stream = self._stream(measurement)
                 self._streams[measurement] = stream, self._strap.run(stream.run())
 
-    def _stream(self, measurement: Measurement) -> _MeasurementStream:
+    def _stream(self, measurement: Measurement) -> MeasurementStream:
         now_s = self._strap.oscillator.now()
         if measurement is Measurement.PPI:
             first_s = now_s + self._quirks.first_intervals_s
