@@ -167,7 +167,7 @@ END_S = 5.0
 """How long a program may take to exit by itself."""
 INTERRUPTED, INTERRUPTED_S = 130, 3.0
 """The exit code after Ctrl-C, and how long the exit may take then."""
-_STDERR = 2
+_STDERR, _SAYING_S = 2, 0.1
 
 
 def end_within(limit_s: float = END_S, code: int = 1) -> None:
@@ -182,7 +182,13 @@ def end_within(limit_s: float = END_S, code: int = 1) -> None:
 def _end(limit_s: float, code: int) -> None:
     time.sleep(limit_s)
     sentence = f"it has not ended within {limit_s:g} s, so it is being ended now\n"
+    # Not waited for: a terminal that is held with Ctrl-S, or a full pipe, may be what it hangs on.
+    _thread.start_new_thread(_say, (sentence,))
+    time.sleep(_SAYING_S)
+    os._exit(code)
+
+
+def _say(sentence: str) -> None:
     # The reader of stderr may be gone.
     with suppress(OSError):
         os.write(_STDERR, sentence.encode())
-    os._exit(code)

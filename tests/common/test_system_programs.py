@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -387,6 +388,28 @@ def test_what_does_not_fit_is_counted_in_its_place(held: Held) -> None:
     said = b"[3 lines are missing here: the disk accepted no output]\n"
     assert held.lines == [b"first\n", b"1\n", b"2345\n", said, b"4\n"]
     assert held.ended == 1
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(sys.platform == "win32", reason="fills a pipe")
+def test_a_program_whose_output_is_held_ends_all_the_same() -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(512))
+    os.set_blocking(writing, True)
+    hangs = (
+        "import threading; from biosensor_common.process_limits import end_within;"
+        "end_within(0.5, 7); threading.Event().wait()"
+    )
+    program = subprocess.Popen([sys.executable, "-c", hangs], stderr=writing)
+    try:
+        assert program.wait(DEADLINE_S) == 7
+    finally:
+        program.kill()
+        os.close(reading)
+        os.close(writing)
 
 
 @pytest.mark.nightly

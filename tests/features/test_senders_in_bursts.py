@@ -22,6 +22,8 @@ from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.sources import Source
 from tests.features import signals
 from tests.features.signals import Array
+from tests.rigs.polling import wait_until
+from tests.rigs.terminal import HeldConsole
 
 # Live heart rates of other programs that push many samples at once, by the real program.
 
@@ -176,6 +178,21 @@ def test_others_go_on_and_a_signal_ends_it(tmp_path: Path) -> None:
         program.send_signal(signal.SIGTERM)
         assert program.wait(GONE_DEADLINE_S) == 0
         del stays, later, comes_back
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(sys.platform == "win32", reason="holds a pseudo-terminal")
+def test_a_terminal_that_is_held_holds_up_neither_features_nor_the_end() -> None:
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "features"]
+    held = HeldConsole(is_stopped=True)
+    with held.program(command, os.environ) as program:
+        sender = Sender("ECG", 130.0, 72.0, overlaps=False)
+        with sending(sender):
+            rates = _inlet(sender, "hr_live")
+            rates.open_stream(DEADLINE_S)
+            wait_until(lambda: len(_all_of(rates)[0]), "a heart rate")
+        program.send_signal(signal.SIGTERM)
+        assert program.wait(GONE_DEADLINE_S) == 0
 
 
 SENDER = """

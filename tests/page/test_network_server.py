@@ -17,11 +17,13 @@ from biosensor_gateway.system.browser import WayIn
 
 pytestmark = pytest.mark.nightly
 
+REQUESTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
 
 @pytest.fixture(autouse=True)
 def _signals() -> Iterator[None]:
     """Put back the handlers, of which the server has its own."""
-    usual = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    usual = {each: signal.getsignal(each) for each in REQUESTS}
     yield
     for each, handler in usual.items():
         signal.signal(each, handler)

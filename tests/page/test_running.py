@@ -208,8 +208,9 @@ def test_it_opens_a_window_of_its_own_and_ends_after_it(
     assert server.wait(DEADLINE_S) == 0
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_what_a_browser_has_not_opened_is_removed_with_the_page(
-    programs: Programs, tmp_path: Path
+    programs: Programs, tmp_path: Path, number: signal.Signals
 ) -> None:
     browser = tmp_path / "usual-browser"
     browser.write_text(
@@ -229,7 +230,7 @@ def test_what_a_browser_has_not_opened_is_removed_with_the_page(
     second = Path(asked.read_text().strip().removeprefix("file://"))
     assert second != file
     assert second.exists()
-    server.send_signal(signal.SIGINT)
+    server.send_signal(number)
     assert server.wait(DEADLINE_S) == 0
     assert not file.parent.exists()
     assert not second.parent.exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+import signal
 import socket
 import subprocess
 import sys
@@ -20,7 +21,9 @@ import pylsl
 import pytest
 import pyxdf
 
+from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.program import launch
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     LocalStatus,
@@ -161,6 +164,44 @@ def test_a_program_that_is_started_again_without_a_source_id_is_not_in_it(
     assert found["late-stream"].text.startswith("marks (")
     assert (found["no-footer"].level, found["no-footer"].stream) == (Level.WARNING, "marks")
     assert ended.verdict.colour is Colour.AMBER
+
+
+def test_an_interrupt_right_after_the_supervisor_has_started_leaves_no_recording(
+    sources: Sources, state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(state: Path) -> None:
+        launch(state)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(local, "launch", interrupted)
+    recording = LocalRecorder(state)
+    with pytest.raises(KeyboardInterrupt):
+        begin(recording, request_of(tmp_path), sources.presence())
+    # A supervisor takes a second to look whether it is still wanted.
+    until = time.monotonic() + 5.0
+    while time.monotonic() < until:
+        assert recording.status() is None
+        time.sleep(0.1)
+    assert not recording.is_running
+    assert list(tmp_path.rglob("*.xdf")) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_whoever_ends_the_start_has_no_recording(
+    sources: Sources, state: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    del sources
+    command_line = CommandLine(state)
+    folder = RecorderFolder(state)
+    starting = command_line.begin("record", "start", "--here", "--folder", str(tmp_path))
+    wait_until((folder.path / "job.json").exists, "a supervisor is started")
+    starting.send_signal(number)
+    _, said = starting.communicate(timeout=30.0)
+    assert starting.returncode == 130, said
+    time.sleep(3.0)  # As above.
+    assert not folder.is_running
+    assert folder.saved() is None
+    assert list(tmp_path.rglob("*.xdf")) == []
 
 
 def test_a_name_that_is_taken_counts_up_or_refuses(

@@ -10,7 +10,13 @@ import pytest
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.naming import require_participant
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.participants import Worn, compare, listed, participant_of
+from biosensor_gateway.recording.participants import (
+    Worn,
+    compare,
+    compare_file,
+    listed,
+    participant_of,
+)
 from biosensor_gateway.recording.recorder.request import BidsLabels
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.report import Report
@@ -37,7 +43,6 @@ def worn(*by: str) -> list[Worn]:
         ("P03", ["P03", "P03", ""]),
         # As settings and recordings of earlier times have it.
         ("P03", ["P-03"]),
-        ("p03", ["P03"]),
         ("group07", ["P01", "P02"]),
     ],
 )
@@ -50,6 +55,8 @@ def test_what_agrees_is_not_asked_about(named: str, by: list[str]) -> None:
     [
         ("P03", ["P01", "P02"], "but its sensors are worn by P01 and P02"),
         ("P03", ["P01", "", "P01"], "but its sensors are worn by P01"),
+        # Exports would call this person P03.
+        ("p03", ["P03"], "but its sensors are worn by P03"),
         ("group07", ["P01", "P01"], "but its sensors are worn by P01"),
     ],
 )
@@ -57,6 +64,12 @@ def test_nobody_of_that_name_wears_a_sensor(named: str, by: list[str], sentence:
     found = compare(named, worn(*by))
     assert found is not None
     assert (found.is_all, found.sentence) == (True, f"the file is called {named}, {sentence}")
+
+
+def test_a_file_in_lower_case_is_its_persons() -> None:
+    # LabRecorder's window makes all names lower-case, so only what somebody types is compared.
+    assert compare_file(Path(NAME.format("p03")), [strap("P03")]) is None
+    assert compare_file(Path(NAME.format("p04")), [strap("P03")]) is not None
 
 
 def test_one_sensor_of_the_person_before() -> None:

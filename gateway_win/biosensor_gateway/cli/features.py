@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import sys
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.terminal import columns, wrapped
 from biosensor_gateway.cli.options import (
     JsonOption,
     SettingsOption,
@@ -58,6 +60,7 @@ def features(
     their unit. The node publishes the features alongside the device's own
     topics. For a recording, the same code computes them and writes a file.
     """
+    from biosensor_common.nonblocking_writer import console_relayed
     from biosensor_gateway.system.shutdown import requests_interrupt, until_signalled
 
     if file is not None:
@@ -67,19 +70,28 @@ def features(
     if output is not None or print_json:
         raise typer.BadParameter("--output and --json are for a recording; name one")
     lsl = settings_or_defaults(settings).lsl
-    asyncio.run(until_signalled(lambda: watch_live(lsl)))
+    listener = _PrintingListener(columns(sys.stdout))
+    # A terminal that is held with Ctrl-S would hold up the features of everybody.
+    with console_relayed():
+        asyncio.run(until_signalled(lambda: watch_live(lsl, listener)))
 
 
 class _PrintingListener:
+    def __init__(self, width: int | None) -> None:
+        self._width = width
+
     def found(self, source: Source) -> None:
         names = ", ".join(each.stream.data_name for each in source.features)
-        say(printable(f"{source.name}: {names}"))
+        self.say(printable(f"{source.name}: {names}"))
 
     def refused(self, sentence: str) -> None:
-        say(printable(sentence))
+        self.say(printable(sentence))
+
+    def say(self, sentence: str) -> None:
+        typer.echo(wrapped(sentence, self._width, 2))
 
 
-async def watch_live(lsl: LslSettings) -> None:
+async def watch_live(lsl: LslSettings, listener: _PrintingListener) -> None:
     """Compute features of live streams until cancelled."""
     from biosensor_common.lsl.network import configure_lsl
     from biosensor_gateway.agent.feature_refusals import FeatureRefusals
@@ -87,9 +99,9 @@ async def watch_live(lsl: LslSettings) -> None:
 
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
-    say("looking for raw streams; end it by Ctrl-C")
+    listener.say("looking for raw streams; end it by Ctrl-C")
     refusals = FeatureRefusals(state_folder())
-    live = Live(_PrintingListener(), report=refusals.write)
+    live = Live(listener, report=refusals.write)
     work = asyncio.get_running_loop().run_in_executor(None, live.run, stopping)
     watching = asyncio.create_task(watch_session(lsl, live.refusals))
     try:

@@ -44,6 +44,7 @@ from biosensor_gateway.recording.xdf.printing import finding_lines, printable
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder, usual_recordings_folder
+from biosensor_gateway.system.shutdown import requests_interrupt
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -367,7 +368,8 @@ def start(
     loaded = settings_or_defaults(settings)
     is_here = here or not (window or host or port or has_window(LOCAL_HOST, DEFAULT_PORT))
     recorder = LocalRecorder(state_folder()) if is_here else _window(host, port)
-    started = _begin(recorder, request, loaded)
+    with requests_interrupt():
+        started = _begin(recorder, request, loaded)
     warn(started.warnings, silent=as_json)
     typer.echo(as_json_text(started) if as_json else start_text(started))
 

@@ -19,13 +19,13 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.types import ASGIApp
 
-from biosensor_common.process_limits import end_within
+from biosensor_common.process_limits import END_S, end_within
 from biosensor_gateway.page.auth import DOOR, OPENS_ONCE, BrowserRules, Guard, Keys
 from biosensor_gateway.page.static_files import Front
 from biosensor_gateway.system.browser import WayIn, way_in
 
 HOST = "127.0.0.1"
-ENDS_WITHIN_S = 10.0
+ENDS_WITHIN_S = END_S
 """Limit for the whole end: windows are notified, and a replay has its own limit."""
 _SWITCH_S = 0.0005
 _SIGNALS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM]
@@ -82,7 +82,7 @@ class PageServer:
         self._redirects: dict[str, str] = {}
 
     def serve(self) -> None:
-        """Serve until SIGINT, SIGTERM or the end of `run`, whose error is raised.
+        """Serve until SIGINT, SIGTERM, SIGHUP or the end of `run`, whose error is raised.
 
         Raises
         ------
@@ -102,6 +102,9 @@ class PageServer:
             for number in _SIGNALS:
                 signal.signal(number, _ignore)
             self._server = _Server(_config(guard, PEOPLE, "on"))
+            # Not one of uvicorn's signals. Under nohup it stays ignored.
+            if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+                signal.signal(signal.SIGHUP, self._server.handle_exit)
             try:
                 self._server.run([listening])
             finally:

@@ -61,12 +61,12 @@ class OtherParticipantsError(ConfigError):
         self.mismatch = mismatch
 
 
-def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
+def compare(named: str, worn: Iterable[Worn], *, any_case: bool = False) -> Mismatch | None:
     """Compare the participant in a file's name with those of its sensors; None if they agree.
 
-    A file or sensor without a participant agrees with any, and a file with one person, however
-    spelt: two spellings are two people in exports. A participant such as ``group07`` agrees if
-    several people wear the sensors.
+    A file or sensor without a participant agrees with any. A file agrees with the one person whose
+    BIDS label it has, because exports have the sensors' names: two spellings are two people in
+    them. A participant such as ``group07`` agrees if several people wear the sensors.
 
     Parameters
     ----------
@@ -74,11 +74,14 @@ def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
         The participant in the file's name; empty if there is none.
     worn
         The sensors in it, in a meaningful order.
+    any_case
+        Whether upper and lower case are equal.
     """
     sensors = [each for each in dict.fromkeys(worn) if each.participant]
     people = list(dict.fromkeys(each.participant for each in sensors))
     same = sorted(
-        (each for each in people if _is_same(named, each)), key=lambda each: each != named
+        (each for each in people if _is_same(named, each, any_case=any_case)),
+        key=lambda each: each != named,
     )
     others = tuple(each for each in people if each not in same[:1])
     is_group = len(people) > 1 and named.lower().startswith(GROUP)
@@ -97,7 +100,8 @@ def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:
 def compare_file(path: Path, identities: Iterable[DeviceIdentity | None]) -> Mismatch | None:
     """Compare a file's name with the identities in the headers of its streams; see `compare`."""
     worn = [Worn.by(each) for each in identities if each is not None]
-    return compare(participant_of(path), worn)
+    # LabRecorder's window makes the names of its files lower-case.
+    return compare(participant_of(path), worn, any_case=True)
 
 
 def participant_of(path: Path) -> str:
@@ -125,9 +129,10 @@ def listed(names: Iterable[str]) -> str:
     return " and ".join(filter(None, [", ".join(every[:-1]), every[-1]])) if every else ""
 
 
-def _is_same(named: str, participant: str) -> bool:
-    # As in BIDS datasets, P-01 equals P01 and case is ignored.
-    return label(named).lower() == label(participant).lower()
+def _is_same(named: str, participant: str, *, any_case: bool) -> bool:
+    # As in BIDS datasets, P-01 equals P01.
+    one, other = label(named), label(participant)
+    return one == other or (any_case and one.lower() == other.lower())
 
 
 def _worn_by(participant: str, sensors: Iterable[Worn]) -> str:

@@ -376,9 +376,11 @@ class _Starter:
         # Several attempts if streams are missed; each may take as long.
         until = time.monotonic() + min(PROGRAM_S, self._growth_s)
         while True:
-            self._launch(recording)
+            self._hand_over(recording)
             with contextlib.ExitStack() as failed:
+                # Before the start: after an interrupt a supervisor would go on, unknown to anybody.
                 failed.callback(self._give_up)
+                self._launch()
                 missed = self._wait(recording.recorder, limit_s).missed(wanted)
                 if missed and time.monotonic() < until:
                     continue
@@ -391,7 +393,8 @@ class _Starter:
                 failed.pop_all()
                 return missed
 
-    def _launch(self, recording: SavedRecording) -> None:
+    def _hand_over(self, recording: SavedRecording) -> None:
+        """Request the recording from the supervisor that is started next."""
         lock = None
         try:
             state_file.make_folder(self._folder.path)
@@ -402,14 +405,21 @@ class _Starter:
             # output.
             Path(recording.file).open("wb").close()
             self._folder.hand_over(recording, self._config)
-            lock.release()
-            launch(self._state)
         except OSError as error:
-            message = f"{self._folder.path} cannot be written ({error.strerror or error})"
-            raise RecorderError(RecorderReason.UNWRITABLE, message) from error
+            raise self._unwritable(error) from error
         finally:
             if lock is not None:
                 lock.release()
+
+    def _launch(self) -> None:
+        try:
+            launch(self._state)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> RecorderError:
+        message = f"{self._folder.path} cannot be written ({error.strerror or error})"
+        return RecorderError(RecorderReason.UNWRITABLE, message)
 
     def _wait(self, title: str, limit_s: float) -> ProgramOutput:
         """Wait until all streams found are open."""

@@ -234,7 +234,8 @@ def supervise(state: Path) -> int:
     if lock is None:
         return _ALREADY
     try:
-        return _Supervisor(folder).run()
+        # Whoever wanted the recording may have been interrupted in the meantime.
+        return 0 if folder.is_given_up else _Supervisor(folder).run()
     finally:
         lock.release()
 
