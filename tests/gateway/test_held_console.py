@@ -12,6 +12,7 @@ import statistics
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
@@ -274,3 +275,16 @@ def test_a_file_that_does_not_open_is_one_that_cannot_be_written(fifo: Path) -> 
     for thread in [each for each in threading.enumerate() if each.name == "opens the log file"]:
         thread.join(DEADLINE_S)
     os.close(reading)
+
+
+def test_a_trial_in_a_held_terminal_ends(tmp_path: Path) -> None:
+    console = HeldConsole(is_stopped=True)
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "try", "--no-open"]
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    with console.program([*command, "--folder", str(tmp_path / "out")], environment) as program:
+        wait_until(lambda: list(tmp_path.glob("biosensor-try-*")), "it begins")
+        # It comes to its first sentence, which waits for the terminal.
+        time.sleep(1.0)
+        program.send_signal(signal.SIGTERM)
+        assert program.wait(DEADLINE_S) == 1
+    assert list(tmp_path.glob("biosensor-try-*")) == []

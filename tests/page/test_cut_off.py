@@ -94,10 +94,12 @@ def test_a_disk_that_is_full_from_the_begin_is_said(tmp_path: Path) -> None:
     assert page.ask("POST", "recording/salvage", {})[0] == 404
 
 
+@pytest.mark.parametrize("sensor", ["", '[[device]]\nsensor = "polar_h10"\nunit = "STRAP"\n'])
 def test_the_panel_explains_what_was_found(
-    programs: Programs, window: Callable[..., browser.Page], tmp_path: Path
+    programs: Programs, window: Callable[..., browser.Page], tmp_path: Path, sensor: str
 ) -> None:
-    programs.settings.write_text('[[device]]\nsensor = "polar_h10"\nunit = "STRAP"\n')
+    # Also if no sensor is set up, as after `run --simulate`, or where only others' streams are.
+    programs.settings.write_text(sensor)
     given_up(tmp_path, WHOLE[:-20])
     page = window(viewport={"width": 1200, "height": 1000})
     page.goto(Server(programs).address)

@@ -227,6 +227,14 @@ def test_a_paused_sensor_is_asked_about_and_amber_in_every_view(
         page.get_by_role("button", name="Close").first.click()
         # What is below moves up, away from a click.
         expect(page.get_by_role("button", name="Close")).to_have_count(0)
+    # Nor does a list from which something was chosen, which would choose what begins with 2.
+    page.get_by_role("button", name="Play a recording").click()
+    speed = page.get_by_label("Speed")
+    speed.focus()
+    page.keyboard.press("2")
+    expect(toast).to_have_text("Marked: task")
+    expect(speed).to_have_value("1")
+    page.get_by_role("button", name="Close").first.click()
     # A box that was ticked has the focus and takes no digits; a field does.
     session.get_by_label("sound and notification").check()
     page.keyboard.press("2")

@@ -186,7 +186,7 @@ def test_names_that_no_file_can_have_everywhere(exported: Exporting) -> None:
     assert [each["file"] for each in _streams(folder)] == [
         "AUX_.csv",
         "con_.csv",
-        "nul.txt_.csv",
+        "nul_.txt.csv",
         "COM1_.csv",
         "rf.csv",
         "all_markers_2.csv",

@@ -21,6 +21,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.lsl.api_file import LOOPBACK
 from biosensor_common.naming import lsl_name, source_id
+from biosensor_common.process_limits import end_within
 from biosensor_common.quantities import waits_for_receivers
 from biosensor_gateway.agent.control import stop_agent
 from biosensor_gateway.agent.device_states import identity_of
@@ -64,6 +65,7 @@ _ASK_S = 0.2
 _LOOPBACK_S = 3.0
 _LOOK_S = 5.0
 _LEAST_TABLE_S = 10.0
+_INTERRUPTED, _TELLING_S = "Ended before everything was shown.", 2.0
 _TABLES = "csv"
 _DOUBLED = "duplicate-source-id"
 _SESSION_VARIABLE = "BIOSENSOR_GATEWAY_LSL__SESSION_ID"
@@ -147,7 +149,10 @@ class Trial:
         require_writable(self._output_folder)
         require_loopback()
         devices, left_out = fitting_devices(Room.here()) if every else (first_devices(), "")
+        said: list[str] = []
         with ExitStack() as stack:
+            # Once the programs have ended: a terminal that is held with Ctrl-S takes nothing.
+            stack.callback(_tell, said)
             work = stack.enter_context(
                 tempfile.TemporaryDirectory(prefix="biosensor-try-", ignore_cleanup_errors=True)
             )
@@ -160,12 +165,12 @@ class Trial:
                 with requests_interrupt():
                     code = self._show(devices, stack)
             except KeyboardInterrupt:
-                say("Ended before everything was shown.")
+                said.append(_INTERRUPTED)
                 code = 1
             finally:
                 # Another Ctrl-C must not keep the programs from being ended.
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
-                self._end_recording()
+                said += self._end_recording()
         if self._output_folder.is_dir():
             say(f"Ended. The recordings stay in {self._output_folder}")
         if left_out:
@@ -280,15 +285,22 @@ class Trial:
             say("The page was ended in the browser.")
         return is_over
 
-    def _end_recording(self) -> None:
+    def _end_recording(self) -> Iterator[str]:
         """End a recording that is still running, also one that the page's button started."""
         if self._recording.is_running:
             try:
                 file = self._recording.stop().file
             except GatewayError as error:
-                say(f"! {error}")
+                yield f"! {error}"
             else:
-                say(f"The data recorded so far is in {file}")
+                yield f"The data recorded so far is in {file}"
+
+
+def _tell(said: Sequence[str]) -> None:
+    if _INTERRUPTED in said:
+        end_within(_TELLING_S)
+    for each in said:
+        say(each)
 
 
 def expected_streams(

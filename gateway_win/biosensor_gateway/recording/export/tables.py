@@ -56,8 +56,9 @@ class FileNames:
         # Many commands would take a leading hyphen as an option.
         plain = _UNSAFE.sub("_", stream.header.name)[:_LONGEST_NAME].strip("._-")
         name = plain or f"stream_{stream.number}"
-        if _OF_WINDOWS.fullmatch(name):
-            name = f"{name}_"
+        if device := _OF_WINDOWS.fullmatch(name):
+            # What precedes the first dot counts: nul.txt.csv would be NUL.
+            name = f"{device[1]}_{device[2] or ''}"
         candidate, number = name, 2
         while not self._take(names := _of_runs(candidate, runs)):
             candidate, number = f"{name}_{number}", number + 1

@@ -141,7 +141,7 @@ function App() {
       ${isFiles && html`<${Files} act=${act} onClose=${() => setFiles(false)} />`}
       ${isExamined && html`<${Doctor} onClose=${() => setExamined(false)} />`}
       ${isEmpty && !isSetup && !isReplay && !isFiles && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} />`}
-      ${status && !isEmpty && !device && html`
+      ${status && (!isEmpty || isKept(status)) && !device && html`
         <div class="pair">
           <div><span ref=${session}></span><${Session} status=${status} act=${act} /></div>
           ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} isRecorded=${status.recording.is_running && status.recording.busy !== "ending"} isVirtual=${status.virtual} act=${act} />`}

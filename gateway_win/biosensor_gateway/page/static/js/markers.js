@@ -5,8 +5,8 @@ import { html, useEffect } from "../vendor/preact-htm.js";
 import { useKept } from "./kept.js";
 
 const KEYS = 9;
-// Not a box that was ticked, which keeps the focus and takes no digits.
-const TYPED_INTO = "input:not([type=checkbox], [type=radio]), textarea, select";
+// Neither a box that was ticked nor a list that was chosen from, which keep the focus.
+const TYPED_INTO = "input:not([type=checkbox], [type=radio]), textarea";
 
 function isTyping(event) {
   return event.target.closest?.(TYPED_INTO) || event.ctrlKey || event.altKey || event.metaKey;
@@ -33,7 +33,10 @@ export function useMarkerKeys(names, act) {
   useEffect(() => {
     const press = (event) => {
       const name = names[Number(event.key) - 1];
-      if (name && !isTyping(event) && !event.repeat) marking(act)(name);
+      if (!name || isTyping(event) || event.repeat) return;
+      // A list would choose what begins with this digit.
+      event.preventDefault();
+      marking(act)(name);
     };
     addEventListener("keydown", press);
     return () => removeEventListener("keydown", press);
