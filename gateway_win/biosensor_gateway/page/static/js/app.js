@@ -61,7 +61,7 @@ function Welcome({ act, onSetup, onReplay }) {
 
 // Whether there is something to record, or was.
 function isKept(status) {
-  return Boolean(status) && (status.agent === "running" || status.recording.is_running || status.recording.file !== "");
+  return Boolean(status) && (status.agent === "running" || status.recording.is_running || status.recording.file !== "" || Boolean(status.recording.verdict));
 }
 
 function App() {
