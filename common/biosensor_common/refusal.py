@@ -260,6 +260,11 @@ class Refusal(Enum):
         "live features had ended ({why}) and were started again: a part is missing",
     )
     NO_FEATURES = _standing("no_features", "{why}")
+    FEATURES_TWICE = _standing(
+        "features_twice",
+        "another program, on {hosts}, also sends its features, so each value is there twice: end "
+        "one of them",
+    )
     WRONG_RATE = _standing("wrong_rate", "{why}")
     STAMPS_LEFT_OUT = _passing("stamps_left_out", "{why}")
     NO_FINITE_VALUE = _passing(

@@ -195,6 +195,8 @@ def test_whoever_ends_the_start_has_no_recording(
     folder = RecorderFolder(state)
     starting = command_line.begin("record", "start", "--here", "--folder", str(tmp_path))
     wait_until((folder.path / "job.json").exists, "a supervisor is started")
+    # Python ignores an interrupt in a destructor, such as that of the lock which is let go now.
+    time.sleep(0.3)
     starting.send_signal(number)
     _, said = starting.communicate(timeout=30.0)
     assert starting.returncode == 130, said

@@ -189,6 +189,14 @@ def features(
     patch: pytest.MonkeyPatch, kind: str, unit: str, stamps: Sequence[float], value: float
 ) -> Shown:
     """Have features computed of a signal of another program; they tell the agent's log."""
+    live, said = computing(patch, kind, unit, stamps, value)
+    assert said
+    return in_status(live.refusals)
+
+
+def computing(
+    patch: pytest.MonkeyPatch, kind: str, unit: str, stamps: Sequence[float], value: float
+) -> tuple[Live, list[str]]:
     info = pylsl.StreamInfo("strap", kind, 1, 130.0, "float32", "strap")
     channel = info.desc().append_child("channels").append_child("channel")
     channel.append_child_value("label", kind)
@@ -208,7 +216,22 @@ def features(
         live.look([info])
         now[0] += 2.0
     live.read()
-    assert said
+    return live, said
+
+
+@provokes(Refusal.FEATURES_TWICE)
+def features_twice(patch: pytest.MonkeyPatch) -> Shown:
+    stamps = [NOW_S + 0.01, NOW_S + 0.02]
+    live, said = computing(patch, "ECG", "microvolts", stamps, 1.0)
+    (stage,) = live._stages.values()
+    both = [
+        fake(source_id=lambda: stage.sent_ids[0], uid=lambda uid=uid: uid, hostname=lambda: "vm")
+        for uid in ("own", "other")
+    ]
+    alive = fake(among=lambda uids, _: set(uids))
+    live.look_for_others(both[:1], alive)
+    assert said == []
+    live.look_for_others(both, alive)
     return in_status(live.refusals)
 
 

@@ -82,7 +82,11 @@ def add(status: AgentStatus, refused: Sequence[RefusedStatus]) -> None:
         for name, source in _names(device).items()
         if source in device.streams
     }
+    said: set[tuple[str, bool]] = set()
     for each in refused:
+        if (each.sentence, each.now) in said:
+            continue  # nothing is dropped: both of two programs that send the same say so
+        said.add((each.sentence, each.now))
         sentence = each.sentence.removeprefix(f"{each.about}: ")
         if (stream := streams.get(each.about)) is not None:
             more = {"about": "", "sentence": f"its live features: {sentence}"}

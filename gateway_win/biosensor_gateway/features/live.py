@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import socket
 import threading
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Container, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -16,14 +16,14 @@ import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
 from biosensor_common.lsl.inlet import Connection, buffer_length, fetch_description
-from biosensor_common.lsl.network import Network
+from biosensor_common.lsl.network import Living, Network
 from biosensor_common.lsl.outlet import LslOutlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.lsl_header import read_header
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.features.outputs import READ_SPELLINGS
+from biosensor_gateway.features.outputs import READ_SPELLINGS, feature_streams
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import (
     FeatureError,
@@ -162,9 +162,9 @@ class Sender:
     """The outlets of one source."""
 
     def __init__(self, source: Source) -> None:
-        self._outlets = {
-            each.name: LslOutlet(stream_info(source, each)) for each in source.features
-        }
+        infos = {each.name: stream_info(source, each) for each in source.features}
+        self.source_ids = [each.source_id() for each in infos.values()]
+        self._outlets = {name: LslOutlet(info) for name, info in infos.items()}
 
     def send(self, events: Sequence[Event], correction_s: float) -> None:
         """Push events, with their stamps converted to this computer's clock."""
@@ -201,6 +201,11 @@ class _Stage:
     def has_begun(self) -> bool:
         """Whether its outlets are open."""
         return self._sender is not None
+
+    @property
+    def sent_ids(self) -> Sequence[str]:
+        """The source_ids of its outlets."""
+        return () if self._sender is None else self._sender.source_ids
 
     @property
     def is_silent(self) -> bool:
@@ -291,12 +296,14 @@ class Live:
         """Receive and send until *stopping* is set."""
         raw_streams = any_of(*(equals("type", each) for each in READ_SPELLINGS))
         network = Network(raw_streams)
+        sent, living = Network(feature_streams()), Living(feature_streams())
         clocks = SenderClocks(lambda: self._measured)
         count = 0
         try:
             while not stopping.wait(READ_S):
                 if count % LOOK_EVERY == 0:
                     self.look(network.streams())
+                    self.look_for_others(sent.streams(), living)
                     self._report_refusals()
                 count += 1
                 self.read()
@@ -332,6 +339,21 @@ class Live:
         connections = (each.connection for each in self._stages.values())
         self._measured = [each for each in connections if each is not None]
 
+    def look_for_others(self, infos: Sequence[pylsl.StreamInfo], living: Living) -> None:
+        """Report other programs that send the same features, from all features on the network."""
+        senders = defaultdict[str, list[pylsl.StreamInfo]](list)
+        for info in infos:
+            senders[info.source_id()].append(info)
+        by_name = {each.source.name: each.sent_ids for each in self._stages.values()}
+        own = {each for ids in by_name.values() for each in ids}
+        doubted = [e.uid() for each in own if len(senders[each]) > 1 for e in senders[each]]
+        alive = living.among(doubted, self._clock())
+        for about, ids in by_name.items():
+            both = [[e for e in senders[each] if e.uid() in alive] for each in ids]
+            hosts = " and ".join(sorted({e.hostname() for each in both for e in each}))
+            is_twice = any(len(each) > 1 for each in both)
+            self.refusals.hold(Refusal.FEATURES_TWICE, is_twice, about=about, hosts=hosts)
+
     def read(self) -> None:
         """Receive samples of all streams, and send the features that are ready."""
         for key, stage in list(self._stages.items()):
@@ -363,6 +385,7 @@ class Live:
         """Close a stream, so that other streams of the device can provide its features."""
         stage = self._stages.pop(key)
         stage.close()
+        self.refusals.over(Refusal.FEATURES_TWICE, stage.source.name)
         identity = stage.source.identity
         features = stage.source.features
         self._taken -= {(identity, each.stream.data_name) for each in features}
