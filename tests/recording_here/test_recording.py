@@ -35,7 +35,7 @@ from biosensor_gateway.recording.recorder.request import (
 )
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
 from biosensor_gateway.recording.recorder.streams import Presence
-from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.findings import Level, by_event
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
 from tests.recording_here.conftest import Sources, begin, only
@@ -381,6 +381,26 @@ def test_a_program_that_ends_early_is_said_where_no_rate_shows_it(
     (found,) = (each for each in ended.verdict.findings if each.level is Level.WARNING)
     assert (found.code, found.stream) == ("no-answer", "watch")
     assert "to the end: its program had ended, so" in found.text
+
+
+@pytest.mark.parametrize("recorder", [LAB_RECORDER, OWN])
+def test_a_recording_that_outlives_all_its_streams_is_not_green(
+    recorder: str, sources: Sources, state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only(recorder, monkeypatch)
+    recording = LocalRecorder(state)
+    begin(recording, request_of(tmp_path), sources.presence())
+    time.sleep(8.0)
+    for name in ("chest", "wrist"):
+        sources.remove(name)
+    time.sleep(25.0)
+    ended = recording.stop()
+    assert ended.verdict.colour is Colour.AMBER
+    assert ended.verdict.length_s > 20.0
+    heads = by_event([e for e in ended.verdict.findings if e.code in ("no-answer", "ends-early")])
+    ((cause, parts),) = heads
+    assert ": no answer from " in cause.text
+    assert {each.stream for each in parts} == {"chest", "wrist"}
 
 
 def test_a_supervisor_that_its_service_ends_closes_the_file(begun: Begun) -> None:

@@ -831,7 +831,7 @@ def test_one_of_after_it_is_on_another_clock() -> None:
 def test_nothing_but_states_is_a_recording_too() -> None:
     content = own_header(1, STRAP, "bat") + x.samples(1, "float32", [[90.0]], [BEGIN_S])
     report = check(x.xdf(content, x.offsets(1, (BEGIN_S + 60, BEGIN_S + 70)), x.footer(1, 1)))
-    assert (report.extent.begin, report.extent.end) == (BEGIN_S, BEGIN_S)
+    assert (report.extent.begin, report.extent.end) == (BEGIN_S, BEGIN_S + 70)
 
 
 @pytest.mark.parametrize(("length_s", "level"), [(20, Level.NOTE), (400, Level.WARNING)])
@@ -1059,6 +1059,22 @@ def test_streams_of_one_program_are_one_event() -> None:
     assert found.text.startswith("watch and state: no answer from 19.5 s")
 
 
+def test_what_a_rate_shows_is_a_consequence() -> None:
+    eeg = [WATCH._replace(name=name, rate=1.0, away=range(4, 8)) for name in ("eeg", "ppg")]
+    report = check(_sent([*eeg, HERE]))
+    ((cause, parts),) = by_event([e for e in report.findings if e.code in ("no-answer", "gaps")])
+    assert cause.text.startswith("eeg and ppg: no answer from 14.5 s to 39.5 s")
+    assert {(each.stream, each.code) for each in parts} == {("eeg", "gaps"), ("ppg", "gaps")}
+
+
+def test_a_recording_lasts_as_long_as_its_recorder_went_on() -> None:
+    report = check(_sent([WATCH._replace(name=name, rate=1.0) for name in ("eeg", "ppg")]))
+    assert report.extent.length_s == pytest.approx(59.5, abs=0.1)
+    ((cause, parts),) = by_event([e for e in report.findings if e.level is Level.WARNING])
+    assert "to the end: its program had ended or its network was away" in cause.text
+    assert {each.code for each in parts} == {"ends-early"}
+
+
 @pytest.mark.parametrize(
     "sender",
     [
@@ -1069,8 +1085,6 @@ def test_streams_of_one_program_are_one_event() -> None:
         WATCH._replace(step_s=1e-6),
         WATCH._replace(step_s=1e-3),
         WATCH._replace(sends=True),
-        # Its gaps are told.
-        WATCH._replace(rate=1.0),
     ],
 )
 def test_nobody_is_called_away_without_need(sender: Sender) -> None:

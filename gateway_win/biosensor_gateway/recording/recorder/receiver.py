@@ -39,7 +39,7 @@ from biosensor_common.lsl.inlet import (
     unopened_inlet,
 )
 from biosensor_common.lsl.network import Network, Streams, search
-from biosensor_common.lsl.sender_clocks import LIMIT_S, STEP_S, SenderClocks
+from biosensor_common.lsl.sender_clocks import LIMIT_S, PERIOD_S, STEP_S, SenderClocks
 from biosensor_common.process_limits import end_within, limit_arenas
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.recorder.program import NOTE
@@ -209,6 +209,16 @@ class ReceivedStream:
         self.clock_offsets.append((taken_at, correction))
         self._write(writing.clock_offset(self._number, taken_at, correction))
 
+    def repeat_correction(self) -> None:
+        """Write the last offset once more while there is no new one, as LabRecorder does.
+
+        By that a file shows how long a sender was away.
+        """
+        if self.clock_offsets:
+            last_s = sum(self.clock_offsets[-1])
+            if pylsl.local_clock() - last_s > 1.5 * PERIOD_S:
+                self.take_correction(self.clock_offsets[-1][1])
+
 
 def _channels(xml: bytes) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
     """Return the labels and units of a header; None if it cannot be read."""
@@ -331,6 +341,8 @@ class _Recorder:
                 flushed_s = time.monotonic()
                 self._flush()
                 self._look_for_absent(network)
+                for each in self._streams:
+                    each.repeat_correction()
             if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
                 marked_s = time.monotonic()
                 self._write(writing.boundary())

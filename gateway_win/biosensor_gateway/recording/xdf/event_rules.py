@@ -56,15 +56,18 @@ def judge_devices(streams: Sequence[Measured], extent: Extent) -> Iterator[Findi
 
 @dataclass(frozen=True, slots=True)
 class Absence:
-    """When a device did not send, or its agent did not run, and the finding that reports it."""
+    """When a device or program did not send, and the finding that reports it."""
 
     finding: Finding
-    device: DeviceIdentity | None  # None for the agent and all its devices.
-    hostname: str  # Of the agent's computer.
+    device: DeviceIdentity | None  # None for the agent and all its devices, or for a program.
+    hostname: str  # Of their computer.
     spells: tuple[Spell, ...]
+    source_ids: frozenset[str] = frozenset()  # Of the program's streams; empty for an agent.
 
     def concerns(self, header: RecordedHeader) -> bool:
-        """Whether a stream is of this device or agent."""
+        """Whether a stream is of this device, agent or program."""
+        if self.source_ids:
+            return header.hostname == self.hostname and header.source_id in self.source_ids
         is_beside = header.is_of_agent and header.hostname == self.hostname
         return is_beside and self.device in (None, header.identity)
 

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from biosensor_gateway.recording.xdf.counters import RecordedCounters
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import Figures
+from biosensor_gateway.recording.xdf.measuring import MAX_UPTIME_S, Figures
 from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
-from biosensor_gateway.recording.xdf.sender_clock import is_reading
+from biosensor_gateway.recording.xdf.sender_clock import is_reading, plausible
+
+LATE_S = 5.0
+"""Streams of a good recording may start and stop this far apart, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +41,10 @@ class Extent:
     """Start and end of a recording on the recorder's clock, in s.
 
     They are the first and last sample of all streams on the LSL clock, or of all streams if none
-    is. Our own streams without a rate, and those about the state of a device, count only if there
-    are no others: a device may compute a heart rate for seconds, a web experiment sends a marker
-    when it can, and a device's state may be older than the recording.
+    is; where clock offsets go on alone, the last of these is the end. Our own streams without a
+    rate, and those about the state of a device, count only if there are no others: a device may
+    compute a heart rate for seconds, a web experiment sends a marker when it can, and a device's
+    state may be older than the recording.
     """
 
     begin: float
@@ -69,7 +73,17 @@ def extent(streams: Sequence[Measured]) -> Extent:
     bounds = [bound for bound in timely if not _comes_when_it_comes(bound[0])] or timely or present
     if not bounds:
         return Extent(0.0, 0.0)
-    return Extent(min(begin for _, begin, _ in bounds), max(end for _, _, end in bounds))
+    begin, end = min(begin for _, begin, _ in bounds), max(end for _, _, end in bounds)
+    asked_s = last_asked(streams)
+    # If all that is told comes late, the recorder's clock offsets show that it went on.
+    is_later = bool(on_clock) and LATE_S < asked_s - end < MAX_UPTIME_S
+    return Extent(begin, asked_s if is_later else end)
+
+
+def last_asked(streams: Sequence[Measured]) -> float:
+    """Return when the recorder noted the last clock offset, on its own clock in s; 0 if never."""
+    lasts = (plausible(each.stream.clock_offsets)[-1:] for each in streams)
+    return max((sum(offset) for last in lasts for offset in last), default=0.0)
 
 
 def _bounds(streams: Sequence[Measured]) -> list[tuple[RecordedHeader, float, float]]:

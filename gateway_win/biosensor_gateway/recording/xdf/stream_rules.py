@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
-from biosensor_gateway.recording.xdf.event_rules import Absence
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.event_rules import Absence, Spell
+from biosensor_gateway.recording.xdf.findings import About, Finding, Level
 from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.pace import Pace
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES
-from biosensor_gateway.recording.xdf.report import Extent, Measured
+from biosensor_gateway.recording.xdf.report import LATE_S, Extent, Measured, last_asked
 from biosensor_gateway.recording.xdf.samples import flat_text
 from biosensor_gateway.recording.xdf.sender_clock import (
+    ASKED_EVERY_S,
     SenderClock,
     Silence,
     is_plausible,
-    plausible,
 )
 
 Verdict = tuple[Level, str, str]
@@ -29,7 +30,7 @@ Verdict = tuple[Level, str, str]
 
 # The recorder takes the first offset after 5 s.
 OFFSETS_DUE_S = 6.0
-_MOST_SPANS = 3
+_MOST_SPANS = _MOST_NAMED = 3
 # Relative errors that loaders complain about, and that no computer's oscillator explains.
 WRONG_RATE, ODD_RATE = 0.1, 0.01
 # The chips of motion and light sensors count by oscillators of their own, which are this much off.
@@ -39,8 +40,6 @@ MIN_SAMPLES_FOR_RATE = 20
 FEWEST_DUE = 3
 # In a good network offsets scatter less, and oscillators drift less.
 MAX_SCATTER_S, MAX_DRIFT_PPM, MIN_OFFSETS_FOR_DRIFT = 0.01, 500.0, 5
-# Streams of a good recording may start and stop this far apart.
-LATE_S = 5.0
 NAN_SHARE_TO_NOTE = 0.05
 # The agent reports once a second. Streams without a device clock are up to a second late anyway.
 HELD_UP_S = 2.0
@@ -64,40 +63,48 @@ def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
             yield Finding(level, code, measured.name, text)
 
 
-def judge_senders(
+def absent_senders(
     streams: Sequence[Measured], extent: Extent, away: Sequence[Absence] = ()
-) -> Iterator[Finding]:
-    """Report programs that were away where no sample shows it, by their missing answers.
+) -> list[Absence]:
+    """Return when programs gave the recorder no answer.
 
-    Streams with a rate have gaps then, and of what an agent counts it is known what is missing.
-    Streams of one computer that were away at the same time are reported together.
+    Streams of one computer that were away at the same time are one event. Where streams have a
+    rate, their gaps are consequences of it; of others no sample shows that something is missing.
     """
-    asked = (
-        sum(offset) for each in streams for offset in plausible(each.stream.clock_offsets)[-1:]
-    )
-    end_s = max(asked, default=0.0)
-    absent = {id(each): each.stream.silences(end_s) for each in streams}
+    end_s = last_asked(streams)
+    silences = {id(each): each.stream.silences(end_s) for each in streams}
     events: list[tuple[Silence, list[Measured]]] = []
     for each in streams:
-        header = each.stream.header
-        is_told = header.is_regular or each.counters is not None or bool(each.figures.clock_error)
-        # A recorder gives up a stream that nothing tells from another one, which is told, too.
-        is_told |= not header.source_id
-        for silence in () if is_told else absent[id(each)]:
+        # A recorder gives up a stream that nothing tells from another one, which is told.
+        for silence in silences[id(each)] if each.stream.header.source_id else ():
             event = next((own for at, own in events if _is_one(at, silence, own[0], each)), None)
             if event is None:
                 events.append((silence, [each]))
             else:
                 event.append(each)
+    found: list[Absence] = []
     for silence, own in sorted(events, key=lambda event: event[0]):
-        # If others of its computer answered, the network was there, and a program had ended.
         host = own[0].stream.header.hostname
+        beside = [each for each in streams if each.stream.header.hostname == host != ""]
+        # If others of its computer answered, the network was there, and a program had ended.
         is_ended = any(
-            each.figures.offsets.count and not any(_overlap(silence, at) for at in absent[id(each)])
-            for each in streams
-            if each.stream.header.hostname == host != ""
+            each.figures.offsets.count
+            and not any(_overlap(silence, at) for at in silences[id(each)])
+            for each in beside
         )
-        yield _sender_was_away(silence, own, is_ended, extent, away)
+        names = list(dict.fromkeys(each.name for each in own))
+        if len(names) > _MOST_NAMED and len(own) == len(beside):
+            names = [f"all {len(own)} streams of {host}"]
+        finding = _no_answer(silence, own, names, is_ended, extent)
+        causes = [each.finding.text for each in away if _explains(each, silence, own)]
+        offset_s = own[0].recorder_offset_s
+        until_s = None if silence.until_s == math.inf else silence.until_s - offset_s
+        # Before its program ends, a stream may come to rest.
+        spell = Spell("away", silence.since_s - ASKED_EVERY_S - offset_s, until_s)
+        ids = frozenset(each.stream.header.source_id for each in own)
+        part_of = causes[0] if causes else ""
+        found.append(Absence(replace(finding, part_of=part_of), None, host, (spell,), ids))
+    return found
 
 
 def _is_one(one: Silence, other: Silence, *streams: Measured) -> bool:
@@ -108,31 +115,25 @@ def _is_one(one: Silence, other: Silence, *streams: Measured) -> bool:
     )
 
 
-def _sender_was_away(
-    silence: Silence,
-    own: Sequence[Measured],
-    is_ended: bool,
-    extent: Extent,
-    away: Sequence[Absence],
+def _no_answer(
+    silence: Silence, own: Sequence[Measured], names: list[str], is_ended: bool, extent: Extent
 ) -> Finding:
-    headers = [each.stream.header for each in own]
     since = f"from {max(0.0, silence.since_s - extent.begin):.1f} s"
     is_last = silence.until_s == math.inf
     until = "to the end" if is_last else f"to {silence.until_s - extent.begin:.1f} s"
     why = "its program had ended" if is_ended else "its program had ended or its network was away"
     text = f"no answer {since} {until}: {why}, so what it would have sent then is missing"
-    names = list(dict.fromkeys(each.name for each in own))
-    if len(names) > 1:
-        text = f"{listed(names)}: {text}"
+    is_single = len(own) == 1
     # An experiment often ends before the recording, and sends nothing between two runs.
-    is_usual = is_ended and all(each.content_type == ContentType.MARKERS for each in headers)
-    causes = [each.finding.text for each in away if _explains(each, silence, own)]
+    is_usual = is_ended and all(
+        each.stream.header.content_type == ContentType.MARKERS for each in own
+    )
     return Finding(
         Level.NOTE if is_usual else Level.WARNING,
         "no-answer",
-        names[0] if len(names) == 1 else "",
-        text,
-        part_of=causes[0] if causes else "",
+        names[0] if is_single else "",
+        text if is_single else f"{listed(names)}: {text}",
+        About.PERSONS if any(each.stream.header.is_ours for each in own) else About.OTHERS,
     )
 
 

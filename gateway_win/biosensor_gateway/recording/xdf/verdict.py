@@ -36,7 +36,7 @@ from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.measuring import measure, seconds_text
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report, extent
-from biosensor_gateway.recording.xdf.stream_rules import judge_senders, judge_stream
+from biosensor_gateway.recording.xdf.stream_rules import absent_senders, judge_stream
 from biosensor_gateway.settings.models import DeviceSettings
 
 _MOST_DAMAGES = 10
@@ -55,6 +55,7 @@ def judge(
     streams, findings = compare_with_agent(without_pauses(streams))
     length = extent(streams)
     away = absences(streams, length, without)
+    away += absent_senders(streams, length, away)
     findings = [
         *_damaged(recording),
         *_not_closed(recording),
@@ -66,7 +67,6 @@ def judge(
         *(each.finding for each in away),
         *judge_devices(streams, length),
         *judge_robot_clocks(streams),
-        *judge_senders(streams, length, away),
         *findings,
         *(
             consequence(
