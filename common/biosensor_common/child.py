@@ -18,9 +18,12 @@ STABLE_AFTER_S = 60.0
 
 if sys.platform == "win32":
     NO_WINDOW = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+    END_SIGNALS = (signal.SIGINT, signal.SIGBREAK)
 else:
     NO_WINDOW = 0
-"""Creation flags of a child that has no window and does not receive this process's Ctrl-C."""
+    END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""A child with the creation flags NO_WINDOW has none, and does not receive this process's Ctrl-C.
+END_SIGNALS ask a process to end, which passes that on to its child."""
 
 _CRASHES = 0xC0000000
 """Exit codes of Windows from this number on are errors that ended the program."""

@@ -338,11 +338,6 @@ def _samples(path: Path) -> np.ndarray:
     return np.frombuffer(path.read_bytes(), kind).reshape(-1, 2)
 
 
-def _events(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
-
-
 def test_samples_are_the_recorded_ones_and_gaps_are_events_or_runs(exported: Exporting) -> None:
     folder = _folder(exported, eeg())
     first, second = sorted(folder.glob("*_eeg.eeg"))
@@ -359,7 +354,7 @@ def test_samples_are_the_recorded_ones_and_gaps_are_events_or_runs(exported: Exp
 
 def test_every_marker_is_in_one_run(exported: Exporting) -> None:
     folder = _folder(exported, eeg())
-    found = [_events(each) for each in sorted(folder.glob("*_events.tsv"))]
+    found = [_rows(each) for each in sorted(folder.glob("*_events.tsv"))]
     assert [[row["trial_type"] for row in rows] for rows in found] == [
         ["before", "a", "BAD_gap", "b, c", "between"],
         ["after"],

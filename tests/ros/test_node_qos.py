@@ -182,11 +182,6 @@ def foreign_stream(
     return pylsl.StreamOutlet(info)
 
 
-def declared_stream(sensor_name: str, data_name: str, participant: str) -> Outlet:
-    identity = DeviceIdentity(sensor_name, "U1", participant=participant)
-    return Outlet(declaration(sensor_name).stream(data_name), identity, DeviceInfo())
-
-
 def layout(message: Any) -> list[tuple[str, int, int]]:
     return [(dim.label, dim.size, dim.stride) for dim in message.layout.dim]
 
@@ -223,7 +218,7 @@ def test_chunks_hold_what_the_raw_topic_holds_whatever_their_length(ros: Ros) ->
 
 
 def test_a_chunk_never_spans_a_gap(ros: Ros) -> None:
-    outlet = declared_stream("polar_h10", "ecg", "gap")
+    outlet = declared("polar_h10", "ecg", "gap")
     topic = "/gap/biosensors/polar_h10/ecg"
     assert ros.set("gap.polar_h10.ecg.Chunk_Length", 10) == ""
     raw = ros.listen(Float32, topic)
@@ -281,10 +276,8 @@ def test_declared_streams_have_their_declared_types(ros: Ros) -> None:
     opened: list[tuple[Outlet, list[Any], str]] = []
     for name, data, message_class, _, _ in cases:
         topic = f"/types/biosensors/{name}/{data}"
-        opened.append(
-            (declared_stream(name, data, "types"), ros.listen(message_class, topic), topic)
-        )
-    tag = declared_stream("empatica_e4", "tag", "types")
+        opened.append((declared(name, data, "types"), ros.listen(message_class, topic), topic))
+    tag = declared("empatica_e4", "tag", "types")
     presses = ros.listen(Empty, "/types/biosensors/empatica_e4/tag")
     topics = [topic for _, _, topic in opened]
     ros.attached(*topics, "/types/biosensors/empatica_e4/tag", readers=1)

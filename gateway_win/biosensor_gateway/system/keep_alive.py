@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 from biosensor_common import nonblocking_writer
-from biosensor_common.child import Backoff, ending_in_words
+from biosensor_common.child import END_SIGNALS, Backoff, ending_in_words
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system import restart_notice
 from biosensor_gateway.system.child import first_line, own_command
@@ -136,7 +136,7 @@ class KeepAlive:
 
     def run(self) -> int:
         """Run until the clean end of the program; return its exit code."""
-        for number in _requests():
+        for number in END_SIGNALS:
             signal.signal(number, self._pass_on)
         try:
             return self._run()
@@ -229,12 +229,6 @@ def _take_down(folder: Path) -> bool:
     except OSError:
         # Then `stop` cannot have removed it, either.
         return True
-
-
-def _requests() -> list[signal.Signals]:
-    if sys.platform == "win32":
-        return [signal.SIGINT, signal.SIGBREAK]
-    return [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 
 def _ask_to_end(process: subprocess.Popen[bytes]) -> None:

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from fnmatch import fnmatchcase
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.ros_clock import NS_PER_S
@@ -103,12 +102,12 @@ def choose(contents: Contents, selection: Selection) -> Chosen:
         _require_person(contents, person)
     streams = [each for each in contents.streams if _is_of(each, selection)]
     for pattern in selection.streams:
-        if not any(_fits(each, pattern) for each in streams):
+        if not any(each.fits(pattern) for each in streams):
             names = _listed({each.header.title for each in streams})
             message = f"there is no stream {pattern!r} in {contents.path}; {names}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     if selection.streams:
-        streams = [each for each in streams if any(_fits(each, fit) for fit in selection.streams)]
+        streams = [each for each in streams if any(each.fits(fit) for fit in selection.streams)]
     begin_s = _moment(selection.begin, contents) if selection.begin else -math.inf
     end_s = _moment(selection.end, contents) if selection.end else math.inf
     if end_s <= begin_s:
@@ -117,27 +116,17 @@ def choose(contents: Contents, selection: Selection) -> Chosen:
     return Chosen(contents, tuple(streams), begin_s, end_s)
 
 
-def _participant(stream: Stream) -> str:
-    identity = stream.header.identity
-    return "" if identity is None else identity.participant
-
-
 def _require_person(contents: Contents, person: str) -> None:
-    people = {_participant(each) for each in contents.streams} - {""}
+    people = {each.participant for each in contents.streams} - {""}
     if person not in people:
         message = f"no participant is called {person!r} in {contents.path}; {_listed(people)}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
 def _is_of(stream: Stream, selection: Selection) -> bool:
-    person = _participant(stream)
+    person = stream.participant
     is_left_out = bool(selection.without) and person == selection.without
     return not is_left_out and (not selection.participant or person == selection.participant)
-
-
-def _fits(stream: Stream, pattern: str) -> bool:
-    names = (stream.header.name, stream.header.source_id)
-    return any(fnmatchcase(name, pattern) for name in names)
 
 
 def _listed(names: set[str]) -> str:

@@ -6,7 +6,6 @@ from bisect import bisect_right
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -237,7 +236,7 @@ def with_rates(
     ]
     for stream in one_rate_each(streams):
         name = stream.header.title
-        known = [hz for fit, hz in wanted.items() if _fits(stream, fit)]
+        known = [hz for fit, hz in wanted.items() if stream.fits(fit)]
         rate_hz = known[0] if known else estimated_rate(stream)
         if stream.header.is_regular or rate_hz is None:
             found.append(stream)
@@ -253,7 +252,7 @@ def with_rates(
     notes += [
         f"--rate {fit}: no stream without a rate has that name"
         for fit in wanted
-        if not any(_fits(each, fit) for each in without)
+        if not any(each.fits(fit) for each in without)
     ]
     return tuple(found), notes
 
@@ -278,8 +277,3 @@ def rates_told(changes: Sequence[RateChange]) -> str:
         return f"its rate changes {len(changes)} times, so its times of a line are wrong"
     told = ", then ".join(rates[:_MOST_RATES]) + ", ..." * (len(rates) > _MOST_RATES)
     return f"its rate changes: {told} Hz; each part with one rate stands by itself"
-
-
-def _fits(stream: Stream, pattern: str) -> bool:
-    names = (stream.header.name, stream.header.source_id)
-    return any(fnmatchcase(each, pattern) for each in names)

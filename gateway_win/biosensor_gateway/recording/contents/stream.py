@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import cached_property, partial
 from itertools import pairwise
 from types import MappingProxyType
@@ -279,6 +280,16 @@ class Stream:
         self.is_unclosed = indexed.header.lacks(indexed.footer, indexed.sample_count)
         # Whether its header or a text is not UTF-8, so the encoding was guessed.
         self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0
+
+    @property
+    def participant(self) -> str:
+        """The recorded name of its participant; empty if unknown."""
+        identity = self.header.identity
+        return "" if identity is None else identity.participant
+
+    def fits(self, pattern: str) -> bool:
+        """Whether its name or source_id matches a pattern with ``*`` and ``?``."""
+        return any(fnmatchcase(e, pattern) for e in (self.header.name, self.header.source_id))
 
     def take_wearer(self, participant: str) -> None:
         """Replace the participant in the header; no effect if the header names none."""

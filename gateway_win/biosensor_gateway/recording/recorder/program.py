@@ -26,7 +26,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from biosensor_common.child import NO_WINDOW, close_input, ending_in_words, send, wait_or_kill
+from biosensor_common.child import (
+    END_SIGNALS,
+    NO_WINDOW,
+    close_input,
+    ending_in_words,
+    send,
+    wait_or_kill,
+)
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
 from biosensor_gateway.recording.recorder.request import (
@@ -337,7 +344,7 @@ class _Supervisor:
     def _start(self, recording: SavedRecording) -> subprocess.Popen[bytes]:
         # A service that stops signals all its processes, but only the supervisor should end the
         # program. Ignored signals stay ignored in the program that is started.
-        for number in _requests():
+        for number in END_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         with self._folder.output.open("wb") as output:
             process = subprocess.Popen(
@@ -353,7 +360,7 @@ class _Supervisor:
                 # Otherwise a limit on the size of files would kill it.
                 restore_signals=False,
             )
-        for number in _requests():
+        for number in END_SIGNALS:
             signal.signal(number, lambda _number, _frame: self._request_end())
         if sys.platform == "win32":
             # Otherwise Windows ends the recording program like any other, with its file open.
@@ -391,9 +398,3 @@ def _environment(lsl_config: Path) -> Mapping[str, str]:
     if libraries is not None:
         environment["PATH"] = os.pathsep.join((str(libraries), environment.get("PATH", "")))
     return environment
-
-
-def _requests() -> list[signal.Signals]:
-    if sys.platform == "win32":
-        return [signal.SIGINT, signal.SIGBREAK]
-    return [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]

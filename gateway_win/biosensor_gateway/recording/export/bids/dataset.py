@@ -78,20 +78,14 @@ class Subjects:
 
     def of(self, stream: Stream) -> str:
         """Return the label of a stream's participant."""
-        name = participant(stream)
+        name = stream.participant
         if not name:
             return self.nobodys
         return next(key for key, called in self.participants.items() if called == name)
 
     def of_markers(self, stream: Stream) -> tuple[str, ...]:
         """Return the labels of a marker stream's participants; all, if it names none."""
-        return (self.of(stream),) if participant(stream) else tuple(self.participants)
-
-
-def participant(stream: Stream) -> str:
-    """Return the recorded name of a stream's participant; empty if unknown."""
-    identity = stream.header.identity
-    return "" if identity is None else identity.participant
+        return (self.of(stream),) if stream.participant else tuple(self.participants)
 
 
 def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subjects:
@@ -117,12 +111,12 @@ def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subj
     called = {found[each]: each for each in people}
     if len(_people(chosen.contents.streams)) == 1:
         return Subjects(called, next(iter(called)))
-    has_shared = any(not participant(each) and not each.header.is_markers for each in streams)
+    has_shared = any(not each.participant and not each.header.is_markers for each in streams)
     return Subjects(called | ({shared: ""} if has_shared or not people else {}), shared)
 
 
 def _people(streams: Sequence[Stream]) -> list[str]:
-    named = [participant(each) for each in streams]
+    named = [each.participant for each in streams]
     return list(dict.fromkeys(each for each in named if each))
 
 
