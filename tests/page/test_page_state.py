@@ -49,6 +49,7 @@ from biosensor_gateway.recording.recorder.request import (
     RecorderReason,
     RecordingRequest,
 )
+from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.page.conftest import DEADLINE_S, Server
 from tests.rigs.polling import until
@@ -278,15 +279,10 @@ SETTINGS = '[lsl]\nsession_id = "lab7"\nknown_peers = ["192.168.1.20"]\n'
 def test_a_recording_looks_where_the_settings_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[LslOverrides | None] = []
+    told: list[LslOverrides] = []
 
-    def start(
-        _self: LocalRecorder,
-        _request: RecordingRequest,
-        _look: object,
-        lsl: LslOverrides | None = None,
-    ) -> None:
-        told.append(lsl)
+    def start(_self: LocalRecorder, _request: RecordingRequest, settings: GatewaySettings) -> None:
+        told.append(settings.lsl.overrides)
         raise RecorderError(RecorderReason.NOT_BEGUN, "not in this test")
 
     monkeypatch.setattr(LocalRecorder, "start", start)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
+import time
 from pathlib import Path
 
 import pytest
@@ -233,6 +235,33 @@ def test_a_file_that_rests_is_said(written: Written) -> None:
     written.write(footer(1, 1))
     assert written.codes() == []
     assert written.growth.look().is_closed
+
+
+@pytest.mark.parametrize(
+    ("began_s_ago", "written_s_ago", "codes"),
+    [
+        (60.0, 40.0, ["still"]),
+        # What a recorder keeps before it writes.
+        (60.0, 10.0, []),
+        # The clock of a file server is behind, or the program took long to begin.
+        (12.0, 40.0, []),
+    ],
+)
+def test_that_a_file_rests_is_said_at_the_first_look_too(
+    tmp_path: Path, began_s_ago: float, written_s_ago: float, codes: list[str]
+) -> None:
+    file, now = tmp_path / "a.xdf", time.time()
+    ten_seconds = data(1, *[101.0 + at / 10 for at in range(100)])
+    file.write_bytes(HEAD + ten_seconds + offset(1, 111.0) + data(1, 111.0) * 10_000)
+    os.utime(file, (now - written_s_ago, now - written_s_ago))
+    growth = Growth(file, began=now - began_s_ago)
+    growth.look()
+    assert [each.code for each in growth.problems() if each.code != "missing"] == codes
+    # It is watched from now on.
+    with file.open("ab") as more:
+        more.write(offset(1, 112.0))
+    growth.look()
+    assert "still" not in [each.code for each in growth.problems()]
 
 
 def test_a_file_that_is_not_there_is_empty_and_gone(written: Written) -> None:

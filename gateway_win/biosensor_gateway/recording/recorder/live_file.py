@@ -408,10 +408,18 @@ class Growth:
     ----------
     clock
         Any clock in s, to measure how long the file stays unchanged.
+    began
+        Unix time at which the recording began, to find out at the first look for how long the file
+        had not grown before; None if it is watched from its begin.
     """
 
-    def __init__(self, file: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        self._file, self._clock = file, clock
+    def __init__(
+        self,
+        file: Path,
+        clock: Callable[[], float] = time.monotonic,
+        began: float | None = None,
+    ) -> None:
+        self._file, self._clock, self._began = file, clock, began
         self._growing = GrowingFile(file, self._take)
         self._streams: dict[int, _StreamReader] = {}
         self._first: float | None = None
@@ -428,7 +436,7 @@ class Growth:
             If the file exists but cannot be read.
         """
         if self._growing.read_on():
-            self._grew_at = self._clock()
+            self._grew_at = self._clock() - self._rested_s()
         return Progress(
             file=str(self._file),
             bytes=self._growing.size,
@@ -439,6 +447,18 @@ class Growth:
             streams=tuple(self._progress(each) for each in self._streams.values()),
             damages=tuple(self._growing.damages),
         )
+
+    def _rested_s(self) -> float:
+        """Return for how long the file had not grown before the first look at it."""
+        began, self._began = self._began, None
+        if began is None:
+            return 0.0
+        now = time.time()
+        with suppress(OSError):
+            # Either alone may be wrong: a file server has its own clock, and computers sleep.
+            unchanged_s = now - self._file.stat().st_mtime
+            return max(0.0, min(unchanged_s, now - began - self._length_s))
+        return 0.0
 
     def problems(
         self, required: Collection[str] = (), silent: Collection[str] = frozenset()

@@ -299,7 +299,7 @@ class LocalRecorder:
 
     def _growth_of(self, file: Path, started: float) -> Growth:
         if self._growth is None or self._growth[:2] != (file, started):
-            self._growth = (file, started, Growth(file))
+            self._growth = (file, started, Growth(file, began=started))
         return self._growth[2]
 
     def _why_it_ended(self, ended: float) -> str:
