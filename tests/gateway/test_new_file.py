@@ -25,7 +25,12 @@ from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.settings.places import cloud_of, recordings_folder, warnings_of
+from biosensor_gateway.settings.places import (
+    cloud_of,
+    recordings_folder,
+    usual_recordings_folder,
+    warnings_of,
+)
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system import state_file
 from biosensor_gateway.system.new_file import new_file, new_place
@@ -243,6 +248,15 @@ def test_recordings_stay_here_by_default(monkeypatch: pytest.MonkeyPatch) -> Non
     assert recordings_folder(home / "Documents", home, name) == home / "Documents" / name
     monkeypatch.setenv("OneDrive", "/u/x/OneDrive")
     assert recordings_folder(home / "OneDrive/Documents", home, name) == home / name
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="documents stand in the registry there")
+def test_the_usual_folder_is_in_the_documents_of_this_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    assert usual_recordings_folder() == tmp_path / "Documents" / "Biosensor recordings"
 
 
 def test_one_sentence_says_what_to_do() -> None:

@@ -16,9 +16,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.ros_to_lsl.application import Bounds
-from lsl_to_ros.ros_to_lsl.bridge import PublicationLosses
+from lsl_to_ros.ros_to_lsl.bridge import Doubts, PublicationLosses
 from lsl_to_ros.ros_to_lsl.stamps import (
     AHEAD_S,
     BEHIND_S,
@@ -488,6 +489,15 @@ def test_without_numbers_nobody_knows() -> None:
     losses = PublicationLosses()
     losses.take(None)
     assert losses.lost is None
+
+
+def test_a_clock_that_is_right_again_is_doubted_no_more() -> None:
+    refusals = Refusals()
+    doubts = Doubts(refusals)
+    doubts.tell({StampSource.SOURCE: Doubt(ClockState.WRONG, 0.3, None, is_used=False)})
+    assert [each.what for each in refusals.present] == [Refusal.DOUBTFUL_CLOCK]
+    doubts.tell({})
+    assert not refusals.present
 
 
 @pytest.mark.parametrize(("late_s", "may_be"), [(1_796_000_000.0, True), (5.0, False)])

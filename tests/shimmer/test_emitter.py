@@ -62,6 +62,15 @@ def packet(number: int, *, first: int = ALL_ON, second: int = ALL_ON) -> tuple[P
     return Packet(number * DIVISOR, values), ARRIVAL_S + number * PERIOD_S
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "setting"),
+    [(51.2, 0), (124.9, 0), (125.0, 1), (128.0, 1), (250.0, 2), (512.0, 3), (4096.0, 6), (9e9, 6)],
+)
+def test_the_exg_chips_are_set_to_the_next_higher_rate(rate_hz: float, setting: int) -> None:
+    chips = registers_for(Use.EMG, 12, rate_hz, lead_off=False)
+    assert [chip[0] & 0x7 for chip in chips] == [setting, setting]
+
+
 def test_every_stream_has_its_own_channels_in_units(sink: EmitterSink) -> None:
     emitter = measuring(sink)
     emitter.take([packet(0), packet(1)])
