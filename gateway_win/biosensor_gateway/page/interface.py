@@ -6,11 +6,12 @@ import asyncio
 from dataclasses import replace
 from functools import partial
 
+import pylsl
 from fastapi import APIRouter
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.api_file import LslOverrides
-from biosensor_common.lsl.network import FORGET_AFTER_S, Network, configure_lsl
+from biosensor_common.lsl.network import Living, Network, configure_lsl
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.status import RefusedStatus
@@ -33,7 +34,7 @@ from biosensor_gateway.page.static_files import PREFIX
 
 _LOOK_S = 0.25
 _OF_ALL = "this agent"
-_BOTH_ALIVE_S = FORGET_AFTER_S + 2.0
+_RAW_STREAMS = any_of(*(equals("type", each) for each in READ_SPELLINGS))
 
 
 class Interface:
@@ -93,7 +94,7 @@ class Features:
         self._lsl_session = ""
         self._refusals = Refusals(clock=session.now)
         self._told: dict[str, str] = {}
-        self._seen_s: dict[str, float] = {}
+        self._living = Living(_RAW_STREAMS)
 
     async def run(self) -> None:
         """Receive until cancelled."""
@@ -113,7 +114,7 @@ class Features:
             self._tell({_OF_ALL: f"they are not shown: {error}"})
             return
         reader = await asyncio.to_thread(Reader, into(self._session.traces), feature_streams())
-        raw = await asyncio.to_thread(Network, any_of(*(equals("type", e) for e in READ_SPELLINGS)))
+        raw = await asyncio.to_thread(Network, _RAW_STREAMS)
         try:
             while True:
                 self._look(reader, raw)
@@ -144,16 +145,18 @@ class Features:
 
     def _doubled(self, raw: Network) -> dict[str, tuple[str, str]]:
         """Return whose features may be another agent's: LSL name and reason, by source_id."""
-        now, sources = self._session.now(), self._session.sources()
-        infos = [each for each in raw.streams() if each.source_id() in sources]
-        self._seen_s = {each.uid(): self._seen_s.get(each.uid(), now) for each in infos}
+        sources = self._session.sources()
+        by_source: dict[str, list[pylsl.StreamInfo]] = {}
+        for each in raw.streams():
+            if each.source_id() in sources:
+                by_source.setdefault(each.source_id(), []).append(each)
+        doubted = [e.uid() for senders in by_source.values() if senders[1:] for e in senders]
+        # An outlet that has ended is found for some seconds more beside its successor.
+        alive = self._living.among(doubted, self._session.now())
         found: dict[str, tuple[str, str]] = {}
-        for source in {each.source_id() for each in infos}:
-            senders = [each for each in infos if each.source_id() == source]
+        for source, senders in by_source.items():
             hosts = sorted({each.hostname() for each in senders})
-            # An outlet that has ended is found for some seconds more beside its successor.
-            lasting = [e for e in senders if now - self._seen_s[e.uid()] > _BOTH_ALIVE_S]
-            if len(hosts) > 1 or len(lasting) > 1:
+            if len(hosts) > 1 or len(alive & {each.uid() for each in senders}) > 1:
                 why = (
                     f"they are not shown, because they may be another person's: {len(senders)} "
                     f"agents, on {' and '.join(hosts)}, send this stream under one source_id; "

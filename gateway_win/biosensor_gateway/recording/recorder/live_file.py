@@ -410,7 +410,7 @@ class Growth:
         Any clock in s, to measure how long the file stays unchanged.
     began
         Unix time at which the recording began, to find out at the first look for how long the file
-        had not grown before; None if it is watched from its begin.
+        had not grown before; None if it is watched from its start.
     """
 
     def __init__(
