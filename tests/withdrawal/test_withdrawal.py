@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import json
 import shutil
@@ -139,6 +140,64 @@ def test_nothing_is_left_and_nobody_else_loses_a_sample(study: Path) -> None:
     assert f"sub-{STAYS}" in people
     assert f"sub-{STAYS}" in (study / "dataset" / "sourcedata" / "recordings.tsv").read_text()
     assert list((study / "dataset" / f"sub-{STAYS}").rglob("*ecg_physio.tsv.gz"))
+
+
+def test_of_tables_of_several_people_the_columns_go_and_every_row_stays(tmp_path: Path) -> None:
+    (tmp_path / "together.xdf").write_bytes(_together())
+    task = Task(("csv",), Selection(), is_wide=True)
+    export(tmp_path / "together.xdf", task, lambda _n, _s: lambda _done: None)
+    table = tmp_path / "together_csv" / "all_130Hz.csv"
+    before = list(csv.reader(table.read_text().splitlines()))
+    _, report = _withdrawn(tmp_path)
+    assert report.is_clean
+    after = list(csv.reader(table.read_text().splitlines()))
+    (gone,) = (at for at, head in enumerate(before[0]) if GONE in head)
+    assert len(after) == len(before)
+    assert [row[:gone] + row[gone + 1 : -1] for row in before] == [row[:-1] for row in after]
+    markers = {row[-1] for row in after}
+    assert {"withdrawn stands up", "P071 is somebody else"} <= markers
+
+
+def _of_a_stranger(name: str) -> bytes:
+    """A stream of another program, whose header does not say who wore the sensor."""
+    stamps = BEGIN_S + np.arange(650) / 130
+    values = np.random.default_rng(7).normal(size=(650, 1)).astype(np.float32)
+    return made.xdf(
+        made.stream_header(1, name, kind="ECG", rate=130.0),
+        made.samples(1, "float32", values.tolist(), stamps.tolist()),
+        made.footer(1, 650),
+    )
+
+
+def test_tables_of_a_stream_named_after_the_person_go_where_the_file_name_hides_it(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "session.xdf").write_bytes(_of_a_stranger(f"{GONE}_Chest"))
+    _export(tmp_path / "session.xdf", "bids")
+    assert list(tmp_path.rglob(f"*recording-{GONE}Chest_physio.tsv.gz"))
+    found, _ = _withdrawn(tmp_path)
+    deleted = [each.path.suffix for each in found.steps if each.action is Action.DELETE]
+    assert sorted(deleted) == [".gz", ".json", ".xdf"]
+    assert not list(tmp_path.rglob("*_physio.*"))
+
+
+@pytest.mark.parametrize("has_others", [False, True])
+def test_a_folder_named_after_the_person_goes_or_is_left_to_a_person(
+    tmp_path: Path, has_others: bool
+) -> None:
+    folder = tmp_path / f"{GONE} monday"
+    folder.mkdir()
+    (folder / f"{GONE}.xdf").write_bytes(_of_a_stranger("Chest"))
+    if has_others:
+        (folder / "session.xdf").write_bytes(_of_a_stranger("Chest"))
+    _, report = _withdrawn(tmp_path)
+    assert folder.exists() == has_others
+    assert not (folder / f"{GONE}.xdf").exists()
+    assert [each.path for each in report.looked_at] == [folder] * has_others
+    assert report.is_clean != has_others
+    # Whoever asks for a folder of this name has not said that all in it goes.
+    if has_others:
+        assert carry_out(plan(GONE, [folder])).looked_at == ()
 
 
 @pytest.mark.parametrize("gone", [GONE, STAYS])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import gzip
+import io
 import json
 import re
 import sys
@@ -301,13 +303,55 @@ def write_without(path: Path, target: Path, person: Person) -> None:
     ValueError
         If JSON cannot be read.
     """
+    columns = columns_of(path, person)
     with open_plain(path) as file, new_file(target, like=path) as new:
-        kept = _of_json(file, person) if path.suffix == ".json" else _kept(file, path, person)
+        kept = _kept(file, path, person)
+        if path.suffix == ".json":
+            kept = _of_json(file, person)
+        elif columns is not None:
+            kept = _without_columns(file, path, person, columns)
         if path.suffix == ".gz":
             with gzip.GzipFile("", "wb", 4, new, mtime=0) as packed:
                 packed.writelines(kept)
         else:
             new.writelines(kept)
+
+
+def columns_of(path: Path, person: Person) -> list[int] | None:
+    """Return which columns of a table that others are in, too, are a person's; None elsewhere."""
+    if not is_table(path):
+        return None
+    try:
+        with open_plain(path) as file:
+            heads = next(_cells(_rows(file, path), path), [""])
+    except csv.Error:
+        return None
+    own = [at for at, head in enumerate(heads) if person.is_in(head)]
+    is_wide = bool(_WIDE.match(path.name))
+    return own if is_wide or 0 < len(own) < len(heads) else None
+
+
+_WIDE = re.compile(r"all_[^_]*Hz\.")
+
+
+def _without_columns(
+    file: BinaryIO, path: Path, person: Person, columns: list[int]
+) -> Iterator[bytes]:
+    """Yield the rows, each of which may have others' samples: texts in them lose the name."""
+    for row in _cells(_rows(file, path), path):
+        text = io.StringIO()
+        kept = [person.masked(each) for at, each in enumerate(row) if at not in columns]
+        csv.writer(text, delimiter=_delimiter(path), lineterminator="\n").writerow(kept)
+        yield text.getvalue().encode("utf-8", "surrogateescape")
+
+
+def _cells(rows: Iterable[bytes], path: Path) -> Iterator[list[str]]:
+    texts = (each.decode("utf-8", "surrogateescape") for each in rows)
+    return iter(csv.reader(texts, delimiter=_delimiter(path)))
+
+
+def _delimiter(path: Path) -> str:
+    return "\t" if ".tsv" in path.name.lower() else ","
 
 
 def _of_json(file: BinaryIO, person: Person) -> Iterator[bytes]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import errno
 import hashlib
+import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum, unique
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -26,9 +27,11 @@ from biosensor_gateway.recording.recorder.state import is_going_on
 from biosensor_gateway.recording.withdrawal import recordings
 from biosensor_gateway.recording.withdrawal.traces import (
     EDF,
+    LONGEST_JSON,
     Person,
     Pieces,
     blocks,
+    columns_of,
     is_in_message,
     is_text,
     is_utf16,
@@ -91,7 +94,7 @@ def plan(name: str, places: Sequence[Path]) -> Plan:
     if not person.is_label and _shares_label(person, places):
         person = Person(name, shares_label=True)
     looked = _Looking(person, pieces)
-    steps = [step for place in places for step in looked.at(place)]
+    steps = [step for place in places for step in looked.at(place, is_below=False)]
     return Plan(
         name, tuple(places), tuple(steps), looked.files, pieces, shares_label=not person.owns_label
     )
@@ -127,8 +130,8 @@ class _Looking:
         self._person, self._pieces = person, pieces
         self.files = 0
 
-    def at(self, place: Path) -> Iterator[Step]:
-        """Yield the steps for a file or folder."""
+    def at(self, place: Path, *, is_below: bool = True) -> Iterator[Step]:
+        """Yield the steps for a file or folder; a folder that is asked for may have any name."""
         if place.is_symlink():
             return
         if not place.is_dir():
@@ -150,8 +153,21 @@ class _Looking:
             except OSError as error:
                 yield Step(place, Action.LOOK, f"it cannot be read: {error.strerror or error}")
                 return
-            for each in inside:
-                yield from self.at(each)
+            before = self.files
+            steps = [step for each in inside for step in self.at(each)]
+            if is_below and self._person.is_in(place.name):
+                yield from self._of_named_folder(place, steps, self.files - before)
+            else:
+                yield from steps
+
+    def _of_named_folder(self, place: Path, steps: list[Step], files: int) -> Iterator[Step]:
+        deleted = [each.path for each in steps if each.action is Action.DELETE]
+        if files and sum(1 for each in deleted for _ in _files(each)) == files:
+            yield Step(place, Action.DELETE, "a folder of this person alone")
+            return
+        yield from steps
+        why = "a folder that is named after the person: delete what is left in it if it is theirs"
+        yield Step(place, Action.LOOK, why)
 
     def _is_theirs(self, path: Path) -> bool:
         named = _recorded_as(path)
@@ -171,13 +187,13 @@ class _Looking:
                 return self._of_recording(path)
             if self._person.is_in(path.name):
                 return self._named(path)
+            if self._person.is_in(_stream_of(path)):
+                return Step(path, Action.DELETE, "it is of a stream that is named after the person")
             if is_text(path):
                 return self._of_text(path)
-            if path.suffix.lower() in EDF:
-                return self._of_edf(path)
+            return self._of_edf(path) if path.suffix.lower() in EDF else None
         except (OSError, RecordingError, ValueError) as error:
             return Step(path, Action.LOOK, f"it cannot be read: {error}")
-        return None
 
     def _of_recording(self, path: Path) -> Step | None:
         if is_going_on(path):
@@ -220,6 +236,8 @@ class _Looking:
         lines = lines_of(path, self._person)
         if not lines:
             return None
+        if columns_of(path, self._person) is not None:
+            return Step(path, Action.REWRITE, "without the person's columns and name")
         if path.suffix == ".json":
             return Step(path, Action.REWRITE, "without its information about the person")
         told = "1 line that names" if lines == 1 else f"{lines} lines that name"
@@ -443,6 +461,19 @@ def _blocks_of(file: BinaryIO) -> Iterator[bytes]:
 def _is_bag(folder: Path) -> bool:
     """Whether a folder is a bag of ROS 2."""
     return (folder / _METADATA).is_file()
+
+
+def _stream_of(path: Path) -> str:
+    """Return the name of the stream of which a file of a data set is; empty if none is told."""
+    sidecar = path.with_name(f"{path.name.partition('.')[0]}.json")
+    if not ("_" in sidecar.stem and sidecar.is_file()):
+        return ""
+    try:
+        with sidecar.open("rb") as file:
+            content: Any = json.loads(file.read(LONGEST_JSON))
+        return str(content["LslStream"]["Name"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
 
 
 def _recorded_as(folder: Path) -> str:
