@@ -96,7 +96,7 @@ def read_xml(xml: str, most_characters: int) -> Element:
     if len(xml) > most_characters:
         message = f"the XML has {len(xml)} characters, more than {most_characters}"
         raise SpecError(SpecReason.TOO_LARGE, message)
-    if "<!" in xml.replace("<!--", ""):
+    if "<!" in xml.replace("<!--", "").replace("<![CDATA[", ""):
         # XML parsers are attacked by document types and entities, and no stream needs them.
         raise SpecError(SpecReason.MALFORMED, "the XML has a document type")
     try:

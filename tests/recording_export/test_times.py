@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.contents.choice import Selection, choose, on_one_clock
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export import kubios, runs
-from biosensor_gateway.recording.export.edf import exporter as edf_exporter
+from biosensor_gateway.recording.export import runs
 from biosensor_gateway.recording.export.exporter import Missing, Times
 from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.replay import playback
@@ -561,21 +560,51 @@ def test_the_samples_of_two_streams_of_one_name_stay_apart(exported: Exporting) 
 def test_why_nothing_was_written_is_said(
     name: str, exported: Exporting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (runs, edf_exporter, kubios):
-        monkeypatch.setattr(module, "MOST_RUNS", 1)
+    monkeypatch.setattr(runs, "MOST_RUNS", 1)
     stamps = _stamps(20)
     stamps[40:] += GAP_S
     with pytest.raises(RecordingError) as caught:
         exported(made.xdf(_with_runs(1, "a", stamps, 0)), name)
     assert caught.value.reason is RecordingReason.EMPTY
-    assert str(caught.value).endswith("; a: left out, because it has more than 1 gaps")
+    assert str(caught.value).endswith(
+        "; a: left out, because it has more than 1 gaps; with even times, a gap does not end a file"
+    )
+
+
+def test_samples_lost_one_by_one_are_told_and_with_even_times_stay_in_one_file(
+    exported: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of exact stamps; also where a line through all of them would show none of it."""
+    monkeypatch.setattr(runs, "MOST_RUNS", 15)
+    is_kept = np.ones(2600, bool)
+    is_kept[100:2500:120] = False
+    values = np.arange(2600.0)[is_kept]
+    stamps = (BEGIN_S + np.arange(2600) / RATE)[is_kept]
+    content = made.xdf(
+        made.stream_header(1, "strap", kind="ECG", rate=RATE),
+        made.samples(1, "float32", values[:, np.newaxis].tolist(), stamps.tolist()),
+        made.footer(1, len(stamps)),
+    )
+    (measured,) = check(content).streams
+    assert (measured.figures.gaps.count, measured.figures.gaps.lost) == (20, 20)
+    with pytest.raises(RecordingError, match="more than 15 gaps; with even times"):
+        exported(content, "edf", "kubios")
+    outcome = exported(content, "edf", "kubios", times=Times.EVEN)
+    assert outcome.is_whole
+    (text,) = (each.path for each in outcome.written if each.format == "kubios")
+    told = np.loadtxt(text / "strap.txt")
+    assert told[is_kept].tolist() == values.tolist()
+    assert np.isnan(told[~is_kept]).all()
+    (edf,) = (each.path for each in outcome.written if each.format == "edf")
+    read = read_bdf(edf / "strap.bdf")
+    assert sum(each.text == runs.BAD_GAP for each in read.annotations) == 20
+    assert len(read.signals[0].data) >= 2600
 
 
 def test_a_stream_that_is_left_out_makes_it_not_whole(
     exported: Exporting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (runs, edf_exporter):
-        monkeypatch.setattr(module, "MOST_RUNS", 1)
+    monkeypatch.setattr(runs, "MOST_RUNS", 1)
     stamps = _stamps(20)
     stamps[40:] += GAP_S
     content = made.xdf(_with_runs(1, "a", stamps, 0), _with_runs(2, "b", _stamps(), 0))

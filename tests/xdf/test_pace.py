@@ -96,6 +96,61 @@ def test_where_nothing_is_lost_nothing_is_told(name: str) -> None:
     assert (found.overlap_s > 0) == bool((np.diff(stamps) < 0).any())
 
 
+@pytest.mark.parametrize("real_hz", [250.0, 248.0])
+@pytest.mark.parametrize("share", [0.001, 0.01, 0.05, 1 / 3, 0.5, 0.7])
+def test_exact_stamps_tell_each_sample_that_is_lost_here_and_there(
+    share: float, real_hz: float
+) -> None:
+    random = np.random.default_rng(5)
+    is_kept = random.random(10_000) > share
+    is_kept[[0, -1]] = True
+    stamps = 1000.0 + np.arange(10_000)[is_kept] / real_hz
+    found = find_pace(stamps, 250.0)
+    assert sum(each.lost for each in found.holes) == np.count_nonzero(~is_kept)
+    assert 1 / found.period_s == pytest.approx(real_hz)
+    # A chunk that was written twice, and a clock that was set back, hide none of them.
+    half = len(stamps) // 2
+    for again in (stamps[half - 50 :], stamps[half:] - 7.0):
+        other = find_pace(np.concatenate([stamps[:half], again]), 250.0)
+        assert other.turns == (half,)
+        assert len(other.holes) == pytest.approx(len(found.holes), abs=50)
+
+
+@pytest.mark.parametrize("size", [130, 512])
+@pytest.mark.parametrize("delay_s", [0.002, 0.1])
+def test_packets_that_come_late_lose_no_sample(size: int, delay_s: float) -> None:
+    """Within a packet stamps are exact, so that only the first of each is uneven."""
+    late = np.repeat(np.random.default_rng(6).exponential(delay_s, 40), size)
+    stamps = 1000.0 + np.arange(40 * size) / 250.0 + late
+    assert find_pace(stamps, 250.0).holes == ()
+
+
+@pytest.mark.parametrize("nominal_hz", [0.25, 250_000.0])
+def test_a_header_that_is_off_by_a_thousand_hides_nothing(nominal_hz: float) -> None:
+    stamps = 1000.0 + np.arange(5000) / 250.0
+    stamps[3000:] += 4.0
+    found = find_pace(stamps, nominal_hz)
+    assert found.burst == 1
+    assert [each.lost for each in found.holes] == [1000]
+    assert 1 / found.period_s == pytest.approx(250.0)
+
+
+def test_stamps_that_hardly_differ_are_no_traceback() -> None:
+    """Whole numbers read as floats, as of a sender that stamps in nanoseconds."""
+    stamps = (np.arange(5000, dtype=np.int64) * 4_000_000 + 5_000_000_000).view(np.float64)
+    for count in (12, 5000):
+        report = check(
+            made.xdf(
+                made.stream_header(1, "ecg", kind="ECG", rate=250.0),
+                made.samples(1, "float32", [[0.0]] * count, stamps[:count].tolist()),
+                made.footer(1, count),
+            )
+        )
+        (measured_stream,) = report.streams
+        assert measured_stream.figures.rate_hz is None
+    assert text_of(report, "wrong-clock", "ecg").startswith("its stamps are all the same")
+
+
 LOSSES = {
     "one sample": (measured(), [1000, 5000, 9000], 1),
     "many holes": (measured(), list(range(500, 14000, 300)), 20),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 import struct
 import tracemalloc
 from collections.abc import Callable
@@ -389,9 +390,37 @@ WRONG: dict[str, tuple[Callable[[str], str], str]] = {
     "a document type": (lambda xml: f"<!DOCTYPE info>{xml}", "a document type"),
     "capitals": (_replaced("float32", "Float32"), "channel_format"),
     "another language's format": (_replaced("float32", "float"), "channel_format 'float'"),
-    "CDATA": (
-        _replaced("<hostname>host", "<hostname><![CDATA[R&D <1>]]>"),
+    "CDATA, and a comma": (
+        lambda xml: _replaced("<hostname>host", "<hostname><![CDATA[R&D <1>]]>")(
+            _replaced("130.0", "130,0")(xml)
+        ),
         "a CDATA section",
+    ),
+    "a unit": (_replaced("130.0", "130.0 Hz"), "nominal_srate '130.0 Hz'"),
+    "an entity of HTML": (_replaced("<hostname>host", "<hostname>&micro;V&nbsp;1"), "entities"),
+    "an entity of a document type": (
+        lambda xml: (
+            '<!DOCTYPE info [<!ENTITY dev "x">]>'
+            + _replaced("<hostname>host", "<hostname>&dev;")(xml)
+        ),
+        "entities",
+    ),
+    "a namespace": (_replaced("<info>", '<info xmlns="http://example.org/lsl">'), "namespaces"),
+    "prefixes": (
+        lambda xml: re.sub("<(/?)(?=[a-z])", r"<\1lsl:", xml).replace(
+            "<lsl:info>", '<lsl:info xmlns:lsl="urn:lsl" lsl:version="1">'
+        ),
+        "namespaces",
+    ),
+    "prefixes that are declared nowhere": (
+        _replaced("<type>", '<type xsi:nil="false">'),
+        "namespaces",
+    ),
+    "no number of channels, but descriptions": (
+        lambda xml: _replaced(
+            "<desc />", "<desc><channels><channel><label>a</label></channel></channels></desc>"
+        )(_replaced("<channel_count>1", "<channel_count>0")(xml)),
+        "channel_count '0'",
     ),
 }
 
@@ -406,6 +435,22 @@ def test_a_header_of_a_wrong_form_costs_no_sample(name: str, tmp_path: Path) -> 
     (sentence,) = (each for each in after_table(outcome) if "was fixed" in each)
     assert told in sentence
     assert not outcome.lost_bytes
+
+
+def test_text_that_looks_like_xml_is_kept(tmp_path: Path) -> None:
+    text = "a:b=c, R&D, http://x:80"
+    change = _replaced("<hostname>host", f"<hostname><![CDATA[{text}]]>")
+    (stream,) = read_recording(
+        salvaged(_broken(lambda xml: f"{change(xml)}\0"), tmp_path)[1]
+    ).streams
+    assert stream.header.hostname == text
+
+
+def test_cdata_is_xml_and_costs_nothing() -> None:
+    report = check(_broken(_replaced("<hostname>host", "<hostname><![CDATA[R&D <1>]]>")))
+    assert report.is_good
+    (stream,) = report.recording.streams
+    assert (stream.header.hostname, stream.sample_count) == ("R&D <1>", COUNT)
 
 
 def test_a_stream_without_a_rate_is_irregular_then(tmp_path: Path) -> None:

@@ -28,7 +28,6 @@ from biosensor_gateway.recording.export.marker_events import marker_streams, wri
 from biosensor_gateway.recording.export.readme import README, write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
-    MOST_RUNS,
     Runs,
     Stretch,
     batches,
@@ -99,7 +98,7 @@ def _is_of(stream: Stream, kind: ContentType) -> bool:
 
 def _begins(chosen: Chosen, options: ExportOptions, path: Path, time_s: float) -> str:
     since_s = float(timeline(chosen, options.clock).since_zero(np.array([time_s]))[0])
-    return f"{path.name} begins at {since_s:.3f} s"
+    return f"{path.name} begins at {round(since_s, 3) + 0.0:.3f} s"
 
 
 def _write_intervals(
@@ -149,12 +148,12 @@ def _write_ecg(
     name = stream.header.title
     cut = Runs(chosen, stream, options.times)
     runs = cut.found()
-    if len(runs) > MOST_RUNS:
-        notes.append(Missing(f"{name}: left out, because it has more than {MOST_RUNS} gaps"))
-        return []
     if not runs:
         return []
     every = stretches(runs, stream.header.rate, longest_gap_s(options.times))
+    if why := cut.left_out(len(runs), len(every)):
+        notes.append(Missing(f"{name}: {why}"))
+        return []
     files = [folder / f"{each}.txt" for each in names.of(stream, len(every))]
     file_of = [path for path, each in zip(files, every, strict=True) for _ in each.runs]
     empty = [rows for each in every for rows in each.empty]

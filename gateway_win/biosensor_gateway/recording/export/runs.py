@@ -52,6 +52,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 MOST_RUNS = 999
+"""Nobody opens more files of one stream."""
+_MOST_JOINED = 100_000
 """A stream with more runs has invalid timestamps rather than gaps."""
 BAD_GAP = "BAD_gap"
 """Name of the event for a gap; MNE excludes data that such events cover."""
@@ -190,6 +192,19 @@ class Runs:
             self._fit()
 
     @property
+    def most(self) -> int:
+        """Number of runs that are written; many more where a gap does not end a file."""
+        return _MOST_JOINED if self._is_even else MOST_RUNS
+
+    def left_out(self, runs: int, files: int) -> str:
+        """Return why so many runs, in so many files, are not written; empty if they are."""
+        if runs <= self.most and files <= MOST_RUNS:
+            return ""
+        most = self.most if runs > self.most else MOST_RUNS
+        hint = "" if self._is_even else "; with even times, a gap does not end a file"
+        return f"left out, because it has more than {most} gaps{hint}"
+
+    @property
     def is_uneven(self) -> bool:
         """Whether single timestamps are not times of measurement."""
         pace = self.cuts.pace if self.cuts else None
@@ -216,7 +231,7 @@ class Runs:
             yield samples
 
     def found(self) -> list[Run]:
-        """Return all runs of a numeric stream; at most one more than `MOST_RUNS`."""
+        """Return all runs of a numeric stream; at most one more than `most`."""
         found: list[Run] = []
         for number, samples in self.pieces():
             values = np.asarray(samples.values, np.float64)
@@ -225,7 +240,7 @@ class Runs:
             greatest = np.where(is_finite, values, -np.inf).max(axis=0)
             begin_s, end_s = float(samples.times[0]), float(samples.times[-1])
             if number == len(found):
-                if number > MOST_RUNS:
+                if number > self.most:
                     break
                 period_s, lost = self._period_s(number), self._lost.get(number, 0)
                 found.append(Run(len(samples), begin_s, end_s, least, greatest, period_s, lost))

@@ -7,7 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from html import escape
+from html import escape, unescape
 
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_channels, read_header, read_xml
@@ -226,8 +226,9 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """Return the corrected content of a stream header chunk, and what was wrong with it.
 
     Fixes the errors that some programs make: control characters (such as the end of a C string), a
-    bare ``&``, a document type, CDATA, spaces around fields, a decimal comma, ``cf_float32``,
-    UTF-16, no nominal rate or an impossible one.
+    bare ``&``, a document type, entities of HTML, namespaces, spaces around fields, a decimal
+    comma, a unit, ``cf_float32``, UTF-16, no nominal rate or an impossible one, no number of
+    channels.
 
     Raises
     ------
@@ -247,7 +248,7 @@ def fix_stream_header(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     for name, fix in _FIXED_FIELDS.items():
         node = root.find(name)
         before = "" if node is None else node.text or ""
-        after = fix(before.strip())
+        after = fix(before.strip(), root)
         if after != before:
             node = ET.SubElement(root, name) if node is None else node
             node.text = after
@@ -264,20 +265,39 @@ def _escaped(section: re.Match[str]) -> str:
     return escape(section[1])
 
 
+def _known(entity: re.Match[str]) -> str:
+    """Return the character of an entity of HTML; any other one as the text that it is."""
+    character = unescape(entity[0])
+    return character if character != entity[0] else f"&amp;{entity[0][1:]}"
+
+
+def _without_namespaces(tag: re.Match[str]) -> str:
+    bare = re.sub(r"""\sxmlns(:[\w.-]+)?\s*=\s*("[^"]*"|'[^']*')""", "", tag[0])
+    return re.sub(r"(</?|\s)[\w.-]+:(?=[\w.-]+[\s=/>])", r"\1", bare)
+
+
 _FIXES: tuple[tuple[re.Pattern[str], str | Callable[[re.Match[str]], str], str], ...] = (
+    # So that the following ones see its text as that of any other field.
     (re.compile(r"<!\[CDATA\[(.*?)\]\]>", re.DOTALL), _escaped, "a CDATA section"),
     (re.compile(r"<!DOCTYPE[^>\[]*(\[[^\]]*\])?[^>]*>"), "", "a document type"),
     (re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"), "", "control characters"),
     (re.compile(r"&(?!(?:\w{1,10}|#\d{1,7}|#x[0-9a-fA-F]{1,6});)"), "&amp;", "a bare &"),
+    (re.compile(r"&(?!amp;|lt;|gt;|quot;|apos;)\w+;"), _known, "entities that XML does not know"),
+    (
+        re.compile(r"<(?=/?[\w.-]+:|[^<>]*\s[\w.-]+:[\w.-]+\s*=|[^<>]*\sxmlns\s*=)[^<>]*>"),
+        _without_namespaces,
+        "XML namespaces",
+    ),
 )
 
 
-def _fixed_number(text: str) -> str:
-    return text.replace(",", ".")
+def _fixed_count(text: str, root: ET.Element) -> str:
+    described = len(root.findall("desc/channels/channel"))
+    return str(described) if described and text in {"", "0"} else text.replace(",", ".")
 
 
-def _fixed_rate(text: str) -> str:
-    number = _fixed_number(text)
+def _fixed_rate(text: str, _root: ET.Element) -> str:
+    number = text.replace(",", ".").lower().removesuffix("hz").rstrip()
     try:
         return number if 0 <= float(number) < _MAX_RATE_HZ else "0"
     except ValueError:
@@ -288,13 +308,13 @@ def _fixed_rate(text: str) -> str:
 _FORMATS = {"float64": "double64", "double": "double64", "float": "float32", "str": "string"}
 
 
-def _fixed_format(text: str) -> str:
+def _fixed_format(text: str, _root: ET.Element) -> str:
     name = text.removeprefix("cf_").lower()
     return _FORMATS.get(name, name)
 
 
-_FIXED_FIELDS: Mapping[str, Callable[[str], str]] = {
-    "channel_count": _fixed_number,
+_FIXED_FIELDS: Mapping[str, Callable[[str, ET.Element], str]] = {
+    "channel_count": _fixed_count,
     "nominal_srate": _fixed_rate,
     "channel_format": _fixed_format,
 }

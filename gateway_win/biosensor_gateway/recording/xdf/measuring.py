@@ -42,6 +42,8 @@ MAX_STAMP_ERROR_S = 30.0
 MAX_UPTIME_S = 366 * 86400.0
 # A stamp further from all that was measured of a clock while it was recorded is not that clock's.
 FAR_OFF_S = 86400.0
+# No recording of a second or more is this short, also where stamps are not quite equal.
+_NO_TIME_S = 1e-6
 # Unix times from 2001 to 2286.
 _UNIX_S = (1e9, 1e10)
 
@@ -429,7 +431,7 @@ def find_gaps(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> 
 
 def _rate(course: Course) -> float | None:
     span_s = course.last - course.first if course.count else 0.0
-    return (course.count - 1) / span_s if span_s > 0 else None
+    return (course.count - 1) / span_s if span_s > _NO_TIME_S else None
 
 
 def _rate_between_gaps(course: Course, gaps: Gaps, header: RecordedHeader) -> float | None:
@@ -437,7 +439,7 @@ def _rate_between_gaps(course: Course, gaps: Gaps, header: RecordedHeader) -> fl
         return None
     time_s = course.last - course.first - gaps.total_s
     steps = course.count - 1 - gaps.count
-    return steps / time_s if time_s > 0 and steps > 0 else None
+    return steps / time_s if time_s > _NO_TIME_S and steps > 0 else None
 
 
 def summarise_offsets(offsets: Sequence[Offset]) -> ClockOffsets:
@@ -570,7 +572,7 @@ def order_error(header: RecordedHeader, course: Course, sample_count: int) -> st
     if not header.is_regular or sample_count < max(FEWEST, header.rate):
         return ""
     steps = course.count - 1
-    if not course.back and not course.ahead:
+    if course.last - course.first < _NO_TIME_S:
         return "its stamps are all the same" if steps > 0 else ""
     # The ends of a single chunk do not tell what is between them.
     if course.back > course.ahead and steps > 1:

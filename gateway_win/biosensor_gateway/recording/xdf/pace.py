@@ -38,9 +38,14 @@ _BURSTS_IN_WINDOW = 8
 _FEWEST_WINDOWS = 10
 # Timestamps within 0.1 periods count as equal; from 0.3 of the steps on, not by chance.
 _AT_ONCE, _NOT_BY_CHANCE = 0.1, 0.3
+# Of exact timestamps, this many of the steps that are not one period are whole ones, within this
+# fraction, up to so many. At least so many percent of the samples come one by one.
+_NEARLY_ALL, _WHOLE, _FEW_PERIODS, _NOT_LOST = 0.9, 0.1, 10, 20
+_MANY = 1 << 14
 # A header's rate that deviates by a larger fraction is wrong.
 _NOMINAL_HOLDS = 0.05
-_FAR_OFF = 1.5
+_FAR_OFF, _OTHER_RATE = 1.5, 5.0
+_SHORTEST_S = 1e-9
 SECTION = 1 << 20
 # Sections have this length, so that clocks do not drift within one, but at least so many samples.
 _SECTION_S, _LEAST_SECTION = 600.0, 1 << 16
@@ -118,14 +123,26 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     nominal_hz
         Nominal rate in the header; above 0.
     """
+    found = _found(stamps, nominal_hz)
+    # By a rate of the header that is not the stream's, all samples would be one burst, or all late.
+    is_other = not 1 / _OTHER_RATE < found.period_s * nominal_hz < _OTHER_RATE
+    is_rate = is_other and _SHORTEST_S < found.period_s < LONGEST_PAUSE_S
+    return _found(stamps, 1.0 / found.period_s) if is_rate else found
+
+
+def _found(stamps: Array, nominal_hz: float) -> Pace:
     given = stamps
     is_number = np.isfinite(stamps)
     is_stray = is_number & _stray(_filled(stamps, is_number), 1.0 / nominal_hz)
     stamps = _filled(stamps, is_number & ~is_stray)
     steps = np.diff(stamps)
-    window, period_s = _window_and_period(stamps, steps, 1.0 / nominal_hz)
-    turns = _turns(stamps - period_s * np.arange(len(stamps)), steps, window, period_s)
-    rests = _rests(stamps, turns, period_s)
+    exact_s = _exact_period_s(steps, 1.0 / nominal_hz)
+    lost = None if exact_s is None else np.clip(np.rint(steps / exact_s) - 1, 0, MOST_LOST)
+    # Of exact timestamps, each gap is known, so that they are looked at as if there were none.
+    whole = stamps if lost is None else stamps - exact_s * np.concatenate([[0.0], np.cumsum(lost)])
+    window, period_s = _window_and_period(whole, np.diff(whole), 1.0 / nominal_hz)
+    turns = _turns(whole - period_s * np.arange(len(whole)), np.diff(whole), window, period_s)
+    rests = _rests(whole, turns, period_s)
     spread_s, moves_s = _spread(rests, window, period_s)
     falls = [
         begin + at
@@ -134,13 +151,20 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     ]
     if falls:
         turns = sorted([*turns, *falls])
-        rests = _rests(stamps, turns, period_s)
+        rests = _rests(whole, turns, period_s)
         spread_s, moves_s = _spread(rests, window, period_s)
-    most_s = max(period_s / 2, _UNUSUAL * moves_s)
+    if lost is None:
+        most_s = max(period_s / 2, _UNUSUAL * moves_s)
+        jumps = [
+            (begin + at, jump_s)
+            for begin, rest in zip([0, *turns], rests, strict=True)
+            for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
+        ]
+    else:
+        jumps = [(at + 1, float(steps[at]) - period_s) for at in np.flatnonzero(lost).tolist()]
     holes = [
-        Hole(begin + at, jump_s + period_s, _lost(jump_s, period_s), float(given[begin + at - 1]))
-        for begin, rest in zip([0, *turns], rests, strict=True)
-        for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
+        Hole(at, jump_s + period_s, _lost(jump_s, period_s), float(given[at - 1]))
+        for at, jump_s in jumps
     ]
     turns = sorted([*turns, *(each.at for each in holes if each.length_s > LONGEST_PAUSE_S)])
     holes = [each for each in holes if each.length_s <= LONGEST_PAUSE_S]
@@ -168,6 +192,28 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
         late_first,
         float(np.max(stamps[:late_first] - lines[0].times(0, late_first, period_s), initial=0.0)),
     )
+
+
+def _exact_period_s(steps: Array, nominal_s: float) -> float | None:
+    """Return the period if a step is one period, or by a gap some whole ones; None if not.
+
+    Then each missing sample shows, also if so many are missing, here and there, that a line through
+    all timestamps has another slope.
+    """
+    some = steps[:: 1 + len(steps) // _MANY]
+    least_s = float(np.percentile(some, _NOT_LOST)) if len(some) else 0.0
+    if not _SHORTEST_S < least_s < LONGEST_PAUSE_S:
+        return None
+    single = steps[np.abs(steps / least_s - 1) < _WHOLE]
+    period_s = float(np.median(single))
+    if abs(period_s / nominal_s - 1) > _NOMINAL_HOLDS:
+        return None
+    # How long a pause is need not be a number of periods. Where packets come late, the step after
+    # the one that is too long is too short.
+    odd = steps[(np.abs(steps / period_s - 1) >= _WHOLE) & (steps < _FEW_PERIODS * period_s)]
+    periods = np.rint(odd / period_s)
+    is_gap = (np.abs(odd / period_s - periods) < _WHOLE) & (periods > 1)
+    return period_s if np.count_nonzero(is_gap) >= _NEARLY_ALL * len(odd) else None
 
 
 def _lost(jump_s: float, period_s: float) -> int:

@@ -30,6 +30,7 @@ _MOST_PERCENT, _ALIKE, _WORST, _TIMES = 70, _LEAST / 2, 0.15, 3
 # Number of spans that must have the new rate, and before it the old one; one may be odd.
 _SPANS = 4
 _SHORTEST_S = 1.0
+_NO_TIME_S = 1e-9
 # Samples that were held up come all at once, at no rate.
 _MOST_AT_ONCE = 10.0
 # Of exact timestamps, nearly all steps are whole periods within this fraction.
@@ -126,7 +127,7 @@ class Curve:
         # Samples of a burst have one timestamp.
         lag = max(1, len(points) // 16)
         usual_s = float(np.median(points[lag:] - points[:-lag])) / lag
-        least = max(1, math.ceil(_SHORTEST_S / usual_s)) if usual_s > 0 else 1
+        least = max(1, math.ceil(_SHORTEST_S / usual_s)) if usual_s > _NO_TIME_S else 1
         longest = (len(points) // (2 * _SPANS * least)).bit_length()
         found, least_move = (0, np.empty(0), _LEAST), _WORST
         for count in (least << doubled for doubled in range(longest)):

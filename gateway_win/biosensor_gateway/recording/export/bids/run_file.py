@@ -34,7 +34,6 @@ from biosensor_gateway.recording.export.edf.exporter import (
 from biosensor_gateway.recording.export.exporter import ExportOptions, Timeline, Times
 from biosensor_gateway.recording.export.runs import (
     LONGEST_JOINED_S,
-    MOST_RUNS,
     Runs,
     Stretch,
     stretches,
@@ -233,10 +232,10 @@ def write_emg(
     is_even = options.times is Times.EVEN or not is_exact(stream.header)
     cut = Runs(chosen, stream, Times.EVEN if is_even else Times.RECORDED)
     runs = cut.found()
-    if not runs or len(runs) > MOST_RUNS:
-        return [], []
     longest_s = LONGEST_JOINED_S if options.times is Times.EVEN else LONGEST_FILLED_S
     every = stretches(runs, stream.header.rate, longest_s)
+    if not runs or cut.left_out(len(runs), len(every)):
+        return [], []
     held = [_held(stream, each) for each in every]
     if not all(held):
         return [], []

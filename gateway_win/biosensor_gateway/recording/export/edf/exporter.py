@@ -39,7 +39,6 @@ from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.export.runs import (
     BAD_GAP,
-    MOST_RUNS,
     Runs,
     Stretch,
     longest_gap_s,
@@ -131,12 +130,12 @@ class Edf:
 def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> None:
     name, cut = stream.header.title, Runs(job.chosen, stream, job.times)
     runs = cut.found()
-    if len(runs) > MOST_RUNS:
-        job.notes.append(Missing(f"{name}: left out, because it has more than {MOST_RUNS} gaps"))
-        return
     if not runs:
         return
     every = stretches(runs, stream.header.rate, longest_gap_s(job.times))
+    if why := cut.left_out(len(runs), len(every)):
+        job.notes.append(Missing(f"{name}: {why}"))
+        return
     job.notes += [f"{name}: {told}" for told in cut.remarks(every, INSTEAD)]
     begins = [each.begin_s for each in every for _ in each.runs]
     holes = Holes(stream, begins)
