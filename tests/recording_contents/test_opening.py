@@ -358,3 +358,18 @@ def test_times_near_a_step_of_the_clock_are_in_doubt_or_right(step_s: float, is_
         ((begin_s, end_s, found_s),) = [(each.begin_s, each.end_s, each.step_s) for each in spans]
         assert (begin_s, end_s) == (pytest.approx(1100.0), pytest.approx(1105.0))
         assert found_s == pytest.approx(step_s)
+
+
+def test_samples_without_a_header_are_told_to_whoever_uses_the_others(path: Path) -> None:
+    unknown = made.samples(77, "float32", [[0.5]] * 3, [100.0, 100.1, 100.2])
+    path.write_bytes(made.xdf(_numbers(1, "a", 100.0, 8), unknown, unknown, made.footer(77, 3)))
+    with open_contents(path) as contents:
+        (damage,) = contents.damages
+        assert damage.what == "the samples of stream number 77 have no header"
+        assert [each.sample_count for each in contents.streams] == [8]
+    # A header that cannot be read is damage by itself.
+    broken = made.chunk(2, (77).to_bytes(4, "little") + b"<info>")
+    path.write_bytes(made.xdf(_numbers(1, "a", 100.0, 8), broken, unknown))
+    with open_contents(path) as contents:
+        (damage,) = contents.damages
+        assert "header" in damage.what

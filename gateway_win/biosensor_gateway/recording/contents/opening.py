@@ -96,6 +96,9 @@ def open_contents(path: Path) -> Generator[Contents]:
         if not is_unpacked_whole:
             what = "the rest is compressed and cannot be unpacked"
             damages = (*damages, Damage(size, size, what, breaks_off=True))
+        for number, (start, end) in sorter.headless.items():
+            what = f"the samples of stream number {number} have no header"
+            damages = (*damages, Damage(start, end, what))
         streams = tuple(Stream(file, number, each) for number, each in sorter.streams.items())
         begin_s, end_s = extent(streams)
         begun = sorter.begun or ""

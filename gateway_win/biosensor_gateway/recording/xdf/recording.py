@@ -123,6 +123,9 @@ class StreamSorter(Generic[_StreamT]):
         self.renumbered: list[int] = []
         # By number in the file, the number of chunks of streams whose header is not readable.
         self.orphans: Counter[int] = Counter()
+        # Likewise, where the first samples of those are that have no header, also no damaged one.
+        self.headless: dict[int, tuple[int, int]] = {}
+        self._unread: set[int] = set()
 
     def take(self, chunk: Chunk) -> Chunk:
         """Process one chunk, and return it with the number of its stream.
@@ -154,6 +157,7 @@ class StreamSorter(Generic[_StreamT]):
         if not chunk.is_found:
             # Even if this header cannot be read, what follows is not of the stream before.
             self._numbers.pop(told, None)
+            self._unread.add(told)
         original = content
         new: NewHeader | None = None
         try:
@@ -190,6 +194,8 @@ class StreamSorter(Generic[_StreamT]):
                 # Without a known stream, these bytes are probably not a chunk.
                 raise ChunkError("its stream is unknown")
             self.orphans[chunk.stream_id] += 1
+            if chunk.tag is Tag.SAMPLES and chunk.stream_id not in self._unread:
+                self.headless.setdefault(chunk.stream_id, (chunk.start, chunk.end))
             return chunk
         stream, chunk = self.streams[number], chunk.of_stream(number)
         if chunk.tag is Tag.SAMPLES:
