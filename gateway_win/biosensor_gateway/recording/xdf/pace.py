@@ -153,15 +153,11 @@ def _found(stamps: Array, nominal_hz: float) -> Pace:
         turns = sorted([*turns, *falls])
         rests = _rests(whole, turns, period_s)
         spread_s, moves_s = _spread(rests, window, period_s)
-    if lost is None:
-        most_s = max(period_s / 2, _UNUSUAL * moves_s)
-        jumps = [
-            (begin + at, jump_s)
-            for begin, rest in zip([0, *turns], rests, strict=True)
-            for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
-        ]
-    else:
-        jumps = [(at + 1, float(steps[at]) - period_s) for at in np.flatnonzero(lost).tolist()]
+    jumps = (
+        _jumps_of(rests, turns, period_s, (spread_s, moves_s), window)
+        if lost is None
+        else [(at + 1, float(steps[at]) - period_s) for at in np.flatnonzero(lost).tolist()]
+    )
     holes = [
         Hole(at, jump_s + period_s, _lost(jump_s, period_s), float(given[at - 1]))
         for at, jump_s in jumps
@@ -586,6 +582,19 @@ def _spread(rests: list[Array], window: int, period_s: float) -> tuple[float, fl
     # A few windows may underestimate how far the line moves.
     part = _UNUSUAL if len(moves) < _FEWEST_WINDOWS else _UNUSUAL**2
     return spread_s, max(moves_s, spread_s / part)
+
+
+def _jumps_of(
+    rests: list[Array], turns: list[int], period_s: float, usual_s: tuple[float, float], window: int
+) -> list[tuple[int, float]]:
+    """Find where the lines of all parts jump forward; `usual_s` is the result of `_spread`."""
+    spread_s, moves_s = usual_s
+    most_s = max(period_s / 2, _UNUSUAL * moves_s)
+    return [
+        (begin + at, jump_s)
+        for begin, rest in zip([0, *turns], rests, strict=True)
+        for at, jump_s in _jumps(rest, period_s, spread_s, most_s, window)
+    ]
 
 
 def _jumps(
