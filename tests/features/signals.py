@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,18 @@ from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.runs import Event
 
 Array = NDArray[np.float64]
+
+
+class Case(NamedTuple):
+    """A signal, and when its heart beats; nothing where there is none."""
+
+    name: str
+    kind: str
+    rate: float
+    signal: Array
+    beats: Array
+    since_s: float = 12.0
+
 
 # Centre, width and height of P, Q, R, S and T around the R peak, in s and mV.
 _WAVES = (
@@ -174,9 +187,14 @@ def ecg_of(beats: Array, rate: float, seconds: float, seed: int = 1) -> Array:
 
 
 def pulse_of(
-    beats: Array, rate: float, seconds: float, second: float = 0.35, seed: int = 1
+    beats: Array,
+    rate: float,
+    seconds: float,
+    second: float = 0.35,
+    seed: int = 1,
+    heights: Array | None = None,
 ) -> Array:
-    """Return pulses of height 1 with tops at these times; the second wave is this high.
+    """Return pulses of height 1, or these, with tops at these times; the second wave is this high.
 
     Breathing moves their height and the level by a tenth, so that none is just like another.
     """
@@ -184,9 +202,10 @@ def pulse_of(
     breath = 0.1 * np.sin(2 * np.pi * 0.21 * t)
     signal = 0.005 * np.random.default_rng(seed).standard_normal(len(t))
     lengths = np.append(np.diff(beats), 0.8)
-    for beat, length_s in zip(beats, lengths, strict=True):
+    sizes = np.ones(len(beats)) if heights is None else heights
+    for beat, length_s, size in zip(beats, lengths, sizes, strict=True):
         wide = np.sqrt(length_s / 0.8)
-        _add(signal, t, beat, ((0, 0.09 * wide, 1.0), (0.28 * wide, 0.11 * wide, second)))
+        _add(signal, t, beat, ((0, 0.09 * wide, size), (0.28 * wide, 0.11 * wide, size * second)))
     return signal * (1 + breath) + breath
 
 

@@ -34,7 +34,7 @@ def test_a_rate_without_every_second_beat_is_not_called_good(
     assert told.wrong == 0
 
 
-@pytest.mark.parametrize("share", [0.2, 0.3, 0.45])
+@pytest.mark.parametrize("share", [0.12, 0.2, 0.3, 0.45])
 @pytest.mark.parametrize("coupling", [0.6, 0.75])
 def test_early_beats_that_are_small_are_not_left_out_of_a_good_rate(
     coupling: float, share: float
@@ -44,6 +44,29 @@ def test_early_beats_that_are_small_are_not_left_out_of_a_good_rate(
     signal = signals.ecg_of(beats, 250.0, SECONDS) + share * signals.ecg_of(early, 250.0, SECONDS)
     every = np.sort(np.concatenate([beats, early]))
     assert told_of(signals.events_of("ECG", signal, 250.0), every).wrong == 0
+
+
+@pytest.mark.parametrize("every", [2, 3])
+@pytest.mark.parametrize("share", [0.1, 0.12])
+def test_beats_smaller_than_a_p_wave_are_not_left_out_of_a_good_rate(
+    share: float, every: int
+) -> None:
+    beats = signals.regular(68, SECONDS, 0.02)
+    is_small = np.arange(len(beats)) % every == every - 1
+    signal = signals.ecg_of(beats[~is_small], 130.0, SECONDS)
+    signal += share * signals.ecg_of(beats[is_small], 130.0, SECONDS, 2)
+    assert told_of(signals.events_of("ECG", signal, 130.0), beats).wrong == 0
+
+
+def test_noise_behind_a_beat_hides_none() -> None:
+    beats = signals.regular(66, SECONDS, 0.02)
+    draw = np.random.default_rng(4)
+    signal = signals.ecg_of(beats, 125.0, SECONDS)
+    # Muscles, whose noise looks like a small QRS complex now and then.
+    signal += np.convolve(0.1 * draw.standard_normal(len(signal)), [0.3, 0.4, 0.3], "same")
+    events = signals.events_of("ECG", signal, 125.0)
+    beside = signals.values_of(events, "beats")
+    assert np.mean(beside[5:, 1]) < 0.15
 
 
 def test_variability_counts_no_interval_that_hides_a_beat() -> None:

@@ -62,7 +62,7 @@ class _Interval(NamedTuple):
     stamp: float
     length_s: float
     is_valid: bool
-    hides_beat: bool
+    hides_beat: bool | None
 
 
 class Trust(Protocol):
@@ -92,7 +92,7 @@ class Heart:
         self._stamp = self._before = NOTHING
 
     def beat(
-        self, stamp: float, interval_s: float | None = None, *, hides_beat: bool = False
+        self, stamp: float, interval_s: float | None = None, *, hides_beat: bool | None = False
     ) -> list[Event]:
         """Take a beat, and return its events.
 
@@ -103,7 +103,7 @@ class Heart:
         interval_s
             Since the previous beat, NaN if there is none; None to compute it from the stamps.
         hides_beat
-            Whether there seems to be a beat in between that was left out.
+            Whether there seems to be a beat in between that was left out; None if unknown.
         """
         if interval_s is None:
             interval_s = stamp - self._stamp
@@ -114,7 +114,7 @@ class Heart:
             return [Event("beats", stamp, (NOTHING, 0.0))]
         if self._begin is None:
             self._begin = stamp - interval_s
-        wrong = hides_beat or is_artefact(interval_s, self._before)
+        wrong = bool(hides_beat) or is_artefact(interval_s, self._before)
         self._before = interval_s
         self._kept.append(_Interval(stamp, interval_s, not wrong, hides_beat))
         while self._kept[0].stamp <= stamp - max(at.HRV_WINDOWS_S):
@@ -153,9 +153,11 @@ class Heart:
             return []  # nothing is dropped: hr_live_quality says how few there are
         rate = _rate_of(taken)
         covered = _covered(taken, self._stamp, window_s)
-        hidden = sum(each.hides_beat for each in last)
+        judged = [each.hides_beat for each in last if each.hides_beat is not None]
+        hidden = sum(judged)
+        hides_some = hidden >= min(at.HIDDEN_LEAST, max(1.0, at.HIDDEN_PART * len(judged)))
         is_apart = abs(_rate_of(last) - rate) > at.HR_APART_PER_MIN
-        if is_apart or hidden >= at.HIDDEN_LEAST:
+        if is_apart or hides_some or _leaves_out(last):
             # A heart that paused, or beats that were missed or invented: no interval tells which.
             quality = min(quality, at.HR_APART_QUALITY) if quality >= 0 else quality
         beside = (float(len(taken)), len(valid) / len(last), covered, quality, NOTHING)
@@ -189,6 +191,18 @@ class Heart:
 
 def _rate_of(intervals: Sequence[_Interval]) -> float:
     return 60 * len(intervals) / math.fsum(each.length_s for each in intervals)
+
+
+def _leaves_out(intervals: Sequence[_Interval]) -> bool:
+    """Whether intervals are all usual but some, which are twice as long, as where beats are missed.
+
+    An early beat is followed by a pause, so that both together are two usual intervals.
+    """
+    middle = median(each.length_s for each in intervals)
+    parts = [each.length_s / middle for each in intervals]
+    usual = sum(abs(each - 1) < at.HR_ONCE for each in parts)
+    twice = sum(abs(each - 2) < at.HR_TWICE for each in parts)
+    return twice > 0 and usual >= at.HR_ONCE_SHARE * len(parts) and usual + twice == len(parts)
 
 
 def _usual(intervals: Sequence[_Interval]) -> list[_Interval]:

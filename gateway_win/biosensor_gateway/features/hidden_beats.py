@@ -25,6 +25,7 @@ class Shape(NamedTuple):
     after_s: float  # so long after it its own waves have ended,
     before_s: float  # and so long before one they begin.
     is_either_way: bool  # Whether a beat may point down.
+    order: int  # Of the polynomial that beats lie upon: a level that changes, or a T wave.
     # Whatever is as large as this share of a beat is one, too, after this time; never if NaN.
     other_share: float
     other_after_s: float
@@ -58,23 +59,27 @@ class HiddenBeats:
             self._stamps.append(stamp)
             self._values.append(value)
 
-    def is_before(self, beat_s: float) -> bool:
-        """Return whether there seems to be a beat between the last one and this one."""
+    def is_before(self, beat_s: float) -> bool | None:
+        """Return whether there seems to be a beat between the last one and this one.
+
+        None while it is not known what beats are like.
+        """
         last_s, self._last_s = self._last_s, beat_s
         if not beat_s - last_s > self._shape.early_s + self._shape.before_s:
             return False  # nothing is dropped: the first one, or no place for another
         stamps, values = np.array(self._stamps), np.array(self._values)
         width = 2 * self._around + 1
         if len(values) < width:
-            return False
-        windows = _straightened(np.lib.stride_tricks.sliding_window_view(values, width))
+            return None
+        plain = np.lib.stride_tricks.sliding_window_view(values, width)
+        windows = _straightened(plain, self._shape.order)
         middles = stamps[self._around : len(stamps) - self._around]
         # The sample that is nearest to the beat before.
         place = int(np.abs(middles - last_s).argmin())
         if middles[0] < last_s:
             self._beats.append(windows[place])
         if len(self._beats) < at.TEMPLATE_LEAST:
-            return False
+            return None
         beat = np.median(list(self._beats), axis=0)
         size = float(np.sqrt(np.square(beat).sum()))
         until = middles < beat_s - self._shape.before_s
@@ -90,13 +95,14 @@ class HiddenBeats:
             alike = np.abs(alike)
         else:
             # It has a top, which the slope behind another wave has not.
-            middle = values[self._around : len(values) - self._around][is_here]
-            beside = (values[: len(middles)][is_here], values[2 * self._around :][is_here])
-            alike[middle <= np.maximum(*beside)] = 0.0
+            near = slice(self._around // 2, width - self._around // 2)
+            middle = plain[is_here, near]
+            alike[middle.max(axis=1) <= np.maximum(middle[:, 0], middle[:, -1])] = 0.0
         early = at.HIDDEN_EARLY_ALIKE if self._is_narrow(beat) else np.inf
         least = np.where(is_early, early, at.HIDDEN_ALIKE)
         is_like = (sizes >= at.HIDDEN_SHARE * size) & (alike >= least)
-        other = windows[(middles > last_s + self._shape.other_after_s) & until]
+        # Wide beats, as of the ventricles, differ little from the bow of a T wave.
+        other = _straightened(plain[(middles > last_s + self._shape.other_after_s) & until], 1)
         is_large = np.ptp(other, axis=1) > self._shape.other_share * np.ptp(beat)
         return bool(is_like.any() or is_large.any())
 
@@ -106,11 +112,11 @@ class HiddenBeats:
         return bool(np.square(inside).sum() >= at.NARROW_SHARE * np.square(beat).sum())
 
 
-def _straightened(windows: Array) -> Array:
-    """Return windows without their mean and slope; shape (n, width)."""
+def _straightened(windows: Array, order: int) -> Array:
+    """Return windows without the polynomial that is nearest to them; shape (n, width)."""
     line = np.linspace(-1.0, 1.0, windows.shape[1])
-    level = windows - windows.mean(axis=1, keepdims=True)
-    return level - np.outer(level @ line / (line @ line), line)
+    base, _ = np.linalg.qr(np.vander(line, order + 1))
+    return windows - windows @ base @ base.T
 
 
 ECG_SHAPE = Shape(
@@ -120,7 +126,8 @@ ECG_SHAPE = Shape(
     after_s=0.4,
     before_s=0.25,
     is_either_way=True,
-    other_share=0.5,
+    order=2,
+    other_share=0.4,
     other_after_s=0.5,
 )
 """A T wave is over after 0.4 s, or has another shape than a QRS complex; a P wave begins up to
@@ -132,6 +139,7 @@ PPG_SHAPE = Shape(
     after_s=0.48,
     before_s=0.35,
     is_either_way=False,
+    order=1,
     other_share=np.nan,
     other_after_s=0.48,
 )

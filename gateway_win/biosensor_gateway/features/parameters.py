@@ -105,15 +105,20 @@ long intervals, of which the second is like the one before."""
 HR_APART_PER_MIN, HR_APART_QUALITY = 3.0, 0.4
 """By how much the rate of all intervals may differ from that of those which are taken, and above
 what the quality is not if it does."""
-HIDDEN_SHARE, HIDDEN_ALIKE, HIDDEN_EARLY_ALIKE = 0.1, 0.9, 0.75
+HR_ONCE, HR_TWICE, HR_ONCE_SHARE = 0.12, 0.16, 0.6
+"""By how much of the usual interval others differ that are as long, or twice as long as one where a
+beat was missed; and how many of all are as long. Of early beats and pauses, half are neither."""
+HIDDEN_SHARE, HIDDEN_ALIKE, HIDDEN_EARLY_ALIKE = 0.06, 0.9, 0.85
 """Which share of the size of a beat a wave between two of them has, and how much it correlates with
 them, to be a beat that was left out; less if it is early, on the slope of a T wave."""
 NARROW_S, NARROW_SHARE = 0.03, 0.75
 """A QRS complex of which so much is within this time of its apex is narrow: no T wave correlates
 with it by more than 0.6. Of others, no early wave is a beat."""
-HIDDEN_LEAST, HIDDEN_KEPT_S, HIDDEN_SLOW_S = 2, 5.0, 1.2
-"""One in a window may be noise; how long ago the first of two beats may be; and from which interval
-on the waves of a beat come later, by the square root, as the QT interval (Bazett 1920)."""
+HIDDEN_LEAST, HIDDEN_PART = 2, 0.3
+"""One in a window may be noise, unless it is such a part of the intervals that were looked at."""
+HIDDEN_KEPT_S, HIDDEN_SLOW_S = 5.0, 1.2
+"""How long ago the first of two beats may be; and from which interval on the waves of a beat come
+later, by the square root, as the QT interval (Bazett 1920)."""
 HR_QUALITY_AGE_S = 1.5
 """How old the newest quality of a window may be; there is one every second."""
 HRV_WINDOWS_S = (30.0, 60.0, 300.0)
@@ -181,6 +186,15 @@ CLIPPED_SHARE, CLIPPED_APPROACH, CLIPPED_APPROACH_S = 0.01, 0.05, 0.05
 more, within this time."""
 CLIPPED_TO_BELOW = 3.0
 """How much longer a signal is at such an end than at the level before it."""
+FINE_STEPS, REPEAT_BITS = 1.0, 16.0
+"""The least steps of a converter that noise has by its standard deviation, for repeats to be none
+of chance; and how many bits more they tell than are needed to name their places, so that one in
+65,000 windows has some by chance."""
+HELD_S, HELD_USUAL, HELD_TIMES = 0.2, 0.9, 5.0
+"""A value is held if it stays for so long, and for so many times this quantile of shorter runs.
+Recorders that compress hold an ECG between its waves for up to 0.15 s."""
+TWICE_S, TWICE_LEAST = 0.2, 10
+"""Least length of a part that is looked for again, in time and in samples."""
 ECG_KURTOSIS = (3.0, 5.0)
 """[8]_: noise has 3, a good ECG more than 5."""
 ECG_QRS_SHARE = (0.3, 0.5)

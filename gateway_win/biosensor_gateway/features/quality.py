@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway import pulses
 from biosensor_gateway.features import parameters as at
+from biosensor_gateway.features.repeats import repeats
 from biosensor_gateway.features.runs import Array, Event, Hops
 from biosensor_gateway.features.skin import least_response
 from biosensor_gateway.pulses import between_samples, moment
@@ -183,42 +184,6 @@ def _share(part: float, whole: float) -> float:
     return part / whole if whole > 0 else 0.0
 
 
-def _held(values: Array, rate: float) -> dict[str, bool]:
-    """Return whether a signal is flat, and whether it is clipped at one of its extremes.
-
-    Both are measured in time, not in samples, because a converter with coarse steps repeats more
-    values the faster it samples.
-    """
-    changes = np.flatnonzero(np.diff(values)) + 1
-    begins, ends = np.append(0, changes), np.append(changes, len(values))
-    runs_s = (ends - begins) / rate
-    flat_s = runs_s[runs_s >= at.FLAT_RUN_S].sum()
-    before = values[np.maximum(0, begins - max(1, round(at.CLIPPED_APPROACH_S * rate)))]
-    levels = values[begins]
-    is_fast = np.abs(levels - before) >= at.CLIPPED_APPROACH * np.ptp(values)
-    clipped_s = sum(_clipped_s(sign * levels, runs_s, is_fast, 1 / rate) for sign in (1, -1))
-    whole_s = len(values) / rate
-    return {
-        "flat": bool(flat_s >= at.FLAT_SHARE * whole_s),
-        "clipped": bool(clipped_s >= at.CLIPPED_SHARE * whole_s),
-    }
-
-
-def _clipped_s(levels: Array, runs_s: Array, is_fast: NDArray[np.bool_], period_s: float) -> float:
-    """Return the time that a signal stays at its maximum, after a rise too steep for a rounded top.
-
-    At a rounded top it stays about as long as at the level below.
-    """
-    highest = levels.max()
-    below = levels[levels < highest]
-    if not len(below):
-        return 0.0
-    top_s = runs_s[(levels == highest) & is_fast]
-    below_s = runs_s[levels == below.max()]
-    is_rounded = top_s.sum() <= at.CLIPPED_TO_BELOW * below_s.sum()
-    return 0.0 if is_rounded else float((top_s - period_s).sum())
-
-
 def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
     wrong = tuple(name for name, is_so in held.items() if is_so)
     poor = tuple(name for name, score in scores.items() if score < at.GOOD_QUALITY)
@@ -243,7 +208,7 @@ def ecg(values: Array, rate: float) -> Judged:
         1 - _scaled(_weakness(values, rate), at.WEAK_TIMES),
     )
     baseline = _scaled(_share(usual, power(0, 40)), at.ECG_BASELINE_SHARE)
-    return _judged({"noisy": noisy, "baseline": baseline}, _held(values, rate))
+    return _judged({"noisy": noisy, "baseline": baseline}, repeats(values, rate))
 
 
 def _upright(values: Array, rate: float) -> Array:
@@ -347,7 +312,7 @@ def ppg(values: Array, rate: float) -> Judged:
     even = _even(values, rate, at.PPG_UNEVENNESS, at.PPG_BLOCK_S)
     steady = 1 - _scaled(_weakness(values, rate), at.WEAK_TIMES)
     waves = _waves(values, rate)
-    return _judged({"noisy": min(noisy, shape, like, even, steady, waves)}, _held(values, rate))
+    return _judged({"noisy": min(noisy, shape, like, even, steady, waves)}, repeats(values, rate))
 
 
 def gsr(values: Array, rate: float) -> Judged:
@@ -423,7 +388,7 @@ def respiration(values: Array, rate: float) -> Judged:
     share = _share(power(*at.BREATH_BAND_HZ), power(0, rate))
     inside = _scaled(share, at.BREATH_BAND_SHARE)
     even = _even(values, rate, at.BREATH_UNEVENNESS, at.BREATH_BLOCK_S)
-    return _judged({"noisy": min(inside, even)}, _held(values, rate))
+    return _judged({"noisy": min(inside, even)}, repeats(values, rate))
 
 
 JUDGES: Mapping[str, Callable[[Array, float], Judged]] = {
