@@ -42,9 +42,8 @@ from biosensor_gateway.recording.recorder.request import (
     NotClosedError,
     RecordingRequest,
     SensorsAwayError,
-    VisibleStream,
 )
-from biosensor_gateway.recording.recorder.streams import titles
+from biosensor_gateway.recording.recorder.streams import live_features, titles
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
@@ -410,8 +409,7 @@ class Story:
 
 def _others_streams(begun: LocalStarted) -> Iterator[str]:
     """Yield sentences about recorded streams that are not the agent's; features are counted."""
-    own = {_sender(each) for each in begun.streams if each not in begun.foreign}
-    features = [each for each in begun.foreign if _sender(each) in own]
+    features = live_features(begun.streams, begun.foreign)
     if features:
         are = (
             "1 stream of live features is"
@@ -422,11 +420,6 @@ def _others_streams(begun: LocalStarted) -> Iterator[str]:
     others = [each for each in begun.foreign if each not in features]
     if others:
         yield f"streams of other programs are also recorded: {titles(others)}"
-
-
-def _sender(stream: VisibleStream) -> str:
-    """Return the part of the source_id that a device's streams and their features share."""
-    return stream.source_id.rpartition("-")[0] or stream.source_id
 
 
 def _was_away(absence: Absence, until: float) -> str:

@@ -57,6 +57,7 @@ from biosensor_gateway.recording.recorder.streams import (
     away_findings,
     doubles,
     excused,
+    live_features,
     look,
     own_events,
     recorded_without,
@@ -171,7 +172,7 @@ class LocalRecorder:
                 *remarks,
                 *recorded_without(presence.away),
                 *left_out,
-                *_foreign(request, foreign),
+                *_others(request, recorded, foreign),
                 *warnings_of(file.parent),
             ),
             left_out=left_out,
@@ -523,11 +524,17 @@ def _missed(streams: Sequence[VisibleStream]) -> Iterator[str]:
         )
 
 
-def _foreign(request: RecordingRequest, streams: Sequence[VisibleStream]) -> Iterator[str]:
-    if streams and not request.all_streams:
+def _others(
+    request: RecordingRequest,
+    recorded: Sequence[VisibleStream],
+    foreign: Sequence[VisibleStream],
+) -> Iterator[str]:
+    features = live_features(recorded, foreign)
+    others = [each for each in foreign if each not in features]
+    if others and not request.all_streams:
         yield (
-            "every stream is recorded, and these do not belong to this agent (--only-ours "
-            f"leaves them out): {titles(streams)}"
+            "streams of other programs are also recorded (--only-ours leaves them out): "
+            f"{titles(others)}"
         )
 
 

@@ -63,6 +63,18 @@ class Presence:
     away_ids: frozenset[str] = frozenset()
 
 
+def live_features(
+    recorded: Sequence[VisibleStream], foreign: Sequence[VisibleStream]
+) -> list[VisibleStream]:
+    """Return the recorded streams of others that are features of the agent's sensors."""
+
+    def of_sensor(stream: VisibleStream) -> str:
+        return stream.source_id.rpartition("-")[0] or stream.source_id
+
+    own = {of_sensor(each) for each in recorded if each not in foreign}
+    return [each for each in foreign if of_sensor(each) in own]
+
+
 def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDevice, ...]:
     """Return the devices of the running agent, or without an agent those of the settings.
 
