@@ -172,7 +172,6 @@ ROWS = {
     "second waves": Row(second_waves, 0.0),
     "artefacts": Row(artefacts, 0.0, 0.0),
     "lamps": Row(lamps, 0.0),
-    "small beats": Row(odd_hearts.small_beats, 0.2),
     "held values": Row(odd_hearts.held_values, 0.08),
     "sent twice": Row(odd_hearts.sent_twice, 0.04),
 }
