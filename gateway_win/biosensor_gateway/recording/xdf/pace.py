@@ -201,7 +201,8 @@ def _exact_period_s(steps: Array, nominal_s: float) -> float | None:
     if not _SHORTEST_S < least_s < LONGEST_PAUSE_S:
         return None
     single = steps[np.abs(steps / least_s - 1) < _WHOLE]
-    period_s = float(np.median(single))
+    # Between a few different steps, the percentile is none of them.
+    period_s = float(np.median(single)) if len(single) else math.inf
     if abs(period_s / nominal_s - 1) > _NOMINAL_HOLDS:
         return None
     # How long a pause is need not be a number of periods. Where packets come late, the step after
