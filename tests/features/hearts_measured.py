@@ -172,7 +172,7 @@ ROWS = {
     "second waves": Row(second_waves, 0.0),
     "artefacts": Row(artefacts, 0.0, 0.0),
     "lamps": Row(lamps, 0.0),
-    "held values": Row(odd_hearts.held_values, 0.08),
+    "held values": Row(odd_hearts.held_values, 0.0),
     "sent twice": Row(odd_hearts.sent_twice, 0.04),
 }
 BY_HAND = {name: Row(cases, 1.0) for name, cases in odd_hearts.KINDS.items()} | ROWS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -133,14 +133,19 @@ def _held(most_s: float, share: float) -> Change:
     return change
 
 
-def held_values(draw: Draw) -> Iterator[Case]:
+def held_values(draw: Draw, most_s: Sequence[float] = (0.5, 1.0, 2.0, 4.0)) -> Iterator[Case]:
     """A converter that is stuck repeats its value for a while, again and again."""
     changes = {
-        f"up to {most_s} s, {share}": _held(most_s, share)
-        for most_s in (0.2, 0.5, 1.0, 2.0, 4.0)
+        f"up to {each} s, {share}": _held(each, share)
+        for each in most_s
         for share in (0.1, 0.3, 0.6)
     }
     return _changed(draw, changes)
+
+
+def values_held_briefly(draw: Draw) -> Iterator[Case]:
+    """The same, but never for longer than recorders that compress hold an ECG, or hardly."""
+    return held_values(draw, (0.2,))
 
 
 def _twice(block_s: float, often: float, back: int = 1) -> Change:
@@ -389,6 +394,7 @@ KINDS: dict[str, Callable[[Draw], Iterator[Case]]] = {
         swinging_levels,
         superposed,
         held_values,
+        values_held_briefly,
         sent_twice,
         large_t_waves,
         growing,
