@@ -161,7 +161,7 @@ def test_whose_program_gives_no_answer_is_named_although_its_clock_offset_is_rep
         assert written.codes() == [("marks", "no-offsets")] * is_long, k
     (found,) = written.growth.problems()
     assert found.level is Level.WARNING
-    assert found.text.startswith("no clock offsets for 40 s: its program has ended")
+    assert found.text.startswith("its clock has not been measured for 40 s: the program has ended")
     written.write(offset(3, 151.0, 1.25e-5))
     assert written.codes() == []
 

@@ -380,7 +380,7 @@ def test_a_program_that_ends_early_is_said_where_no_rate_shows_it(
     assert ended.verdict.colour is Colour.AMBER
     (found,) = (each for each in ended.verdict.findings if each.level is Level.WARNING)
     assert (found.code, found.stream) == ("no-answer", "watch")
-    assert "to the end: its program had ended, so" in found.text
+    assert "to the end: the program had ended, so" in found.text
 
 
 @pytest.mark.parametrize("recorder", [LAB_RECORDER, OWN])

@@ -1032,10 +1032,10 @@ HERE = Sender("gaze", range(0))
 @pytest.mark.parametrize(
     ("senders", "said"),
     [
-        ([WATCH], "19.5 s to the end: its program had ended or its network was away"),
-        ([WATCH, HERE], "19.5 s to the end: its program had ended, so"),
-        ([WATCH, HERE._replace(host="pc1")], "its program had ended or its network was away"),
-        ([WATCH._replace(away=range(4, 7)), HERE], "from 14.5 s to 34.5 s: its program had ended"),
+        ([WATCH], "19.5 s to the end: the program had ended or its network was away"),
+        ([WATCH, HERE], "19.5 s to the end: the program had ended, so"),
+        ([WATCH, HERE._replace(host="pc1")], "the program had ended or its network was away"),
+        ([WATCH._replace(away=range(4, 7)), HERE], "from 14.5 s to 34.5 s: the program had ended"),
         ([Sender("marks", range(5, 13), "Markers")], "or its network was away"),
     ],
 )
@@ -1071,7 +1071,7 @@ def test_a_recording_lasts_as_long_as_its_recorder_went_on() -> None:
     report = check(_sent([WATCH._replace(name=name, rate=1.0) for name in ("eeg", "ppg")]))
     assert report.extent.length_s == pytest.approx(59.5, abs=0.1)
     ((cause, parts),) = by_event([e for e in report.findings if e.level is Level.WARNING])
-    assert "to the end: its program had ended or its network was away" in cause.text
+    assert "to the end: the program had ended or its network was away" in cause.text
     assert {each.code for each in parts} == {"ends-early"}
 
 

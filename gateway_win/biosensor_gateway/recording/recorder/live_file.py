@@ -787,12 +787,14 @@ class Growth:
                 silent.setdefault((each.host, level), {})[each.name] = age_s
         for (_, level), ages_s in silent.items():
             names = list(ages_s)
-            of, whose = ("", "its") if len(names) == 1 else (f" of {listed(names)}", "their")
+            clocks, stream = "its clock has", names[0]
+            if len(names) > 1:
+                clocks, stream = f"the clocks of {listed(names)} have", ""
             text = (
-                f"no clock offsets{of} for {max(ages_s.values()):.0f} s: {whose} program has "
+                f"{clocks} not been measured for {max(ages_s.values()):.0f} s: the program has "
                 "ended, or its answers do not arrive"
             )
-            yield Finding(level, "no-offsets", "" if of else names[0], text)
+            yield Finding(level, "no-offsets", stream, text)
 
     def _not_begun(self, streams: Sequence[StreamProgress]) -> Iterator[Finding]:
         """Yield regular streams without a sample yet, before they count as stopped."""

@@ -322,10 +322,9 @@ class RecordedStream:
             As for `sender_clock.silences`.
         """
         found = silences(self.clock_offsets, end_s)
-        if found and self.sample_count:
-            times = np.concatenate(list(self.times_in_blocks()))
-            # It may send a while after one answer, and before another.
-            edge_s = ASKED_EVERY_S + 1.0
+        # It may send a while after one answer, and before another.
+        edge_s = ASKED_EVERY_S + 1.0
+        for times in self.times_in_blocks() if found else ():
             found = [
                 each
                 for each in found
