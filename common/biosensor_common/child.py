@@ -16,14 +16,14 @@ LONGEST_DELAY_S = 30.0
 STABLE_AFTER_S = 60.0
 """A process that ran for this long did not fail at its start, so the back-off starts again."""
 
+# NO_WINDOW: creation flags of a child without a window, which does not receive our Ctrl-C.
+# END_SIGNALS: what asks a process to end; whoever has a child passes that on to it.
 if sys.platform == "win32":
     NO_WINDOW = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
     END_SIGNALS = (signal.SIGINT, signal.SIGBREAK)
 else:
     NO_WINDOW = 0
     END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""A child with the creation flags NO_WINDOW has none, and does not receive this process's Ctrl-C.
-END_SIGNALS ask a process to end, which passes that on to its child."""
 
 _CRASHES = 0xC0000000
 """Exit codes of Windows from this number on are errors that ended the program."""
