@@ -38,7 +38,7 @@ from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.transports.tap import Passed, What
+from biosensor_gateway.transports.tap import Passed, Tap, What
 from tests.docs.worked_with import captures
 from tests.emotibit import recorded_capture as recorded_emotibit
 from tests.rigs.kept_logging import kept_logging
@@ -147,7 +147,7 @@ def test_what_cannot_be_captured_says_why_and_what_to_send_instead(sensor: str, 
         {name: fields[name] for name in fields if name in model.model_fields}
     )
     with pytest.raises(ConfigError, match=f"{why}.*send a recording instead"):
-        recorder.taken(recorder.Recorder(), device, DeviceTest(info=DeviceInfo()))
+        recorder.taken(Tap(), device, DeviceTest(info=DeviceInfo()))
 
 
 def test_a_name_in_a_column_is_replaced_where_it_stands_and_where_it_passes(
@@ -156,7 +156,7 @@ def test_a_name_in_a_column_is_replaced_where_it_stands_and_where_it_passes(
     fields = {"sensor": "line_sensor", "unit": "U1", "port": "/dev/ttyUSB0", "format": "json"}
     columns = ("ecg/Renate_left [mV]", "gsr/Renates skin [uS]")
     device = driver("line_sensor").settings.model_validate({**fields, "columns": columns})
-    tapped = recorder.Recorder()
+    tapped = Tap()
     link = tapped.opened(None, ())
     for second in range(5):
         line = b'{"Renate_left": %d, "Renates skin": 2.5}\n' % second

@@ -18,7 +18,6 @@ import pytest
 
 from biosensor_gateway.devices.driver import Connected, Driver, DriverEntry
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver import ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr
 from biosensor_gateway.doctor import device_test
@@ -27,6 +26,7 @@ from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports import ble_choice
 from tests.rigs.polling import wait_until
 
@@ -201,7 +201,7 @@ class Made:
 
     silence_limit_s = 10.0
 
-    def __init__(self, act: Callable[[Sink], None], sink: Sink) -> None:
+    def __init__(self, act: Callable[[DeviceSink], None], sink: DeviceSink) -> None:
         self._act = act
         self._sink = sink
 
@@ -220,8 +220,8 @@ class Made:
 def acting(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Have a driver in place of a sensor's own that does this when it streams."""
 
-    def replace(act: Callable[[Sink], None]) -> None:
-        def make(settings: DeviceSettings, sink: Sink) -> Callable[[], Driver]:
+    def replace(act: Callable[[DeviceSink], None]) -> None:
+        def make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], Driver]:
             del settings
             return lambda: Made(act, sink)
 
@@ -234,7 +234,7 @@ def acting(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 def test_what_is_too_slow_or_does_not_come_is_told(
     run: Run, configure: Any, acting: Callable[..., None]
 ) -> None:
-    def half_as_fast(sink: Sink) -> None:
+    def half_as_fast(sink: DeviceSink) -> None:
         sink.emit_at("ecg", [math.nan] * 100, [number / 125 for number in range(100)])
 
     configure({"sensor": "zephyr", "unit": "U1", "port": "x"})
@@ -250,7 +250,7 @@ def test_what_is_too_slow_or_does_not_come_is_told(
 def test_a_driver_that_breaks_is_told_without_a_traceback(
     run: Run, configure: Any, acting: Callable[..., None]
 ) -> None:
-    def break_down(sink: Sink) -> None:
+    def break_down(sink: DeviceSink) -> None:
         raise RuntimeError(f"no such thing: {sink.identity.unit}")
 
     configure({"sensor": "zephyr", "unit": "U1", "port": "x"})

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,15 +185,7 @@ CLOCK_FACTS = ("offset_s", "drift_ppm", "residual_rms_s", "reanchors")
 """Facts of a device's clock in an agent's counters, see `.device_clock.ClockState`."""
 
 
-class Sample(Protocol):
-    """Values of one sample, one per channel: a tuple, a list or an array."""
-
-    def __len__(self) -> int: ...
-    def __getitem__(self, channel: int, /) -> str | float: ...
-    def __iter__(self) -> Iterator[Any]: ...
-
-
-def text_of(sample: Sample) -> str:
+def text_of(sample: Sequence[Any] | NDArray[Any]) -> str:
     """Return a text sample as one string; several channels become a JSON list."""
     # JSON separates them, whatever characters they contain.
     return str(sample[0]) if len(sample) == 1 else json.dumps(list(sample))

@@ -20,10 +20,11 @@ from typing import NamedTuple
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.captures.file import ENDING, Capture, packed
-from biosensor_gateway.captures.recorder import Recorder, Taken, take
+from biosensor_gateway.captures.recorder import Taken, take
 from biosensor_gateway.captures.redaction import LEAST_SEARCHED
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.transports.tap import Tap
 
 SECONDS = 60.0
 """Default length of a capture."""
@@ -194,7 +195,7 @@ class CaptureDesk:
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
         self._clock = clock
         self._task: asyncio.Task[None] | None = None
-        self._recorder = Recorder()
+        self._tap = Tap()
         self._begun = Progress()
         self.draft: Draft | None = None
         """The capture; None before `Phase.READY`."""
@@ -202,11 +203,11 @@ class CaptureDesk:
     @property
     def progress(self) -> Progress:
         """The current progress."""
-        if self._begun.phase is not Phase.CONNECTING or self._recorder.opened_s is None:
+        if self._begun.phase is not Phase.CONNECTING or self._tap.opened_s is None:
             return self._begun
-        elapsed_s = min(self._clock() - self._recorder.opened_s, self._begun.seconds)
+        elapsed_s = min(self._clock() - self._tap.opened_s, self._begun.seconds)
         return self._begun._replace(
-            phase=Phase.CAPTURING, elapsed_s=elapsed_s, packets=self._recorder.came
+            phase=Phase.CAPTURING, elapsed_s=elapsed_s, packets=self._tap.came
         )
 
     def start(self, settings: DeviceSettings, seconds: float = SECONDS, source: str = "") -> None:
@@ -225,7 +226,7 @@ class CaptureDesk:
         if self._task is not None and not self._task.done():
             message = "a device is being captured; wait until that ends, or end it"
             raise ConfigError(ConfigReason.IN_USE, message)
-        self.draft, self._recorder = None, Recorder()
+        self.draft, self._tap = None, Tap()
         self._begun = Progress(Phase.CONNECTING, settings.sensor, seconds=seconds)
         self._task = asyncio.create_task(self._take(settings, seconds, source))
 
@@ -260,7 +261,7 @@ class CaptureDesk:
 
     async def _take(self, settings: DeviceSettings, seconds: float, source: str) -> None:
         try:
-            taken = await take(settings, seconds, self._recorder)
+            taken = await take(settings, seconds, self._tap)
         except GatewayError as error:  # nothing is dropped: the phase says what failed
             self._begun = self._begun._replace(phase=Phase.FAILED, problem=str(error))
         else:

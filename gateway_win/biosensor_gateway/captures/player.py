@@ -335,11 +335,12 @@ class ReplayedPorts:
             self._player.unheard += 1
 
 
-class _Asking:
+class _Asking(asyncio.DatagramTransport):
     def __init__(self, link: LinkPlayer) -> None:
+        super().__init__()
         self._link = link
 
-    def sendto(self, data: bytes, addr: Address) -> None:
+    def sendto(self, data: Any, addr: Any = None) -> None:  # noqa: ANN401 - as in asyncio
         del addr
         self._link.send(data, ASKING)
 

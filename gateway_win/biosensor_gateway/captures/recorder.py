@@ -7,7 +7,6 @@ import platform
 import re
 import sys
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, Literal, NamedTuple, cast, get_args, get_origin
@@ -20,64 +19,28 @@ from biosensor_gateway.devices.registry import declaration, declaration_names, d
 from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.settings.secrets import SecretName, find_secret
-from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.nearby import Advertisement
-from biosensor_gateway.transports.tap import Characteristic, Passed, What, tapped
+from biosensor_gateway.transports.tap import Characteristic, Passed, Tap, What, tapped
 
 _OF_THE_LAB = frozenset(DeviceSettings.model_fields)
 _WORD = re.compile(r"[^\W\d_]+")
 _USUAL = ("time", "count", "number", "left", "right", "value", "heart", "rate", "skin", "channel")
 
 
-class Recorder:
-    """A :class:`~biosensor_gateway.transports.tap.Tap` that records all events."""
-
-    def __init__(self, clock: Clock = LSL_CLOCK) -> None:
-        self._clock = clock
-        self._opened: list[tuple[float, Advertisement | None, Sequence[Characteristic]]] = []
-        self._passed: list[tuple[int, Passed]] = []
-        self.failed: Counter[str] = Counter()  # How often a link could not be opened, by reason.
-        self.came = 0  # Number of packets from the device.
-        self._has_ended = False
-
-    @property
-    def opened_s(self) -> float | None:
-        """Time at which the first link was opened [s]; None before."""
-        return self._opened[0][0] if self._opened else None
-
-    def end(self) -> None:
-        """Stop recording, before the driver's closing messages."""
-        self._has_ended = True
-
-    def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> int:
-        """Record a new link; return its number."""
-        self._opened.append((self._clock(), seen, table))
-        return len(self._opened) - 1
-
-    def failed_to_open(self, reason: str) -> None:
-        """Count a failed attempt to open a link."""
-        self.failed[reason] += 1
-
-    def passed(self, link: int, what: Passed) -> None:
-        """Record an event on a link; an answer is filled in later."""
-        if not self._has_ended:
-            self._passed.append((link, what))
-            self.came += what.what is What.CAME
-
-    def events(self) -> list[Event]:
-        """Return all events in the order of their times."""
-        if not self._opened:
-            return []  # nothing is dropped: nothing was opened
-        times = [*(each[0] for each in self._opened), *(each.begun_s for _, each in self._passed)]
-        begin_s = min(times)
-        events: list[Event] = []
-        for number, (opened_s, seen, table) in enumerate(self._opened):
-            own = [each for link, each in self._passed if link == number]
-            # A thread may read data before the event loop is notified of the link.
-            first_s = min([opened_s, *(each.begun_s for each in own)])
-            events.append(_opening(number, first_s - begin_s, seen, table))
-            events += [_event(number, each, begin_s) for each in own]
-        return sorted(events, key=lambda each: each.t)
+def events_of(tap: Tap) -> list[Event]:
+    """Return all events in the order of their times."""
+    if not tap.links:
+        return []  # nothing is dropped: nothing was opened
+    times = [*(each[0] for each in tap.links), *(each.begun_s for _, each in tap.events)]
+    begin_s = min(times)
+    events: list[Event] = []
+    for number, (opened_s, seen, table) in enumerate(tap.links):
+        own = [each for link, each in tap.events if link == number]
+        # A thread may read data before the event loop is notified of the link.
+        first_s = min([opened_s, *(each.begun_s for each in own)])
+        events.append(_opening(number, first_s - begin_s, seen, table))
+        events += [_event(number, each, begin_s) for each in own]
+    return sorted(events, key=lambda each: each.t)
 
 
 def _opening(
@@ -124,13 +87,13 @@ class Taken(NamedTuple):
     test: DeviceTest  # Outcome of the driver's test of the device.
 
 
-async def take(settings: DeviceSettings, seconds: float, recorder: Recorder | None = None) -> Taken:
+async def take(settings: DeviceSettings, seconds: float, tap: Tap | None = None) -> Taken:
     """Connect to a device and capture it for *seconds*.
 
     Parameters
     ----------
-    recorder
-        A new recorder, for callers that show the progress.
+    tap
+        A new tap, for callers that show the progress.
 
     Raises
     ------
@@ -139,13 +102,13 @@ async def take(settings: DeviceSettings, seconds: float, recorder: Recorder | No
     TransportError, ProtocolError
         As for :func:`~biosensor_gateway.doctor.device_test.run_device_test`.
     """
-    recorder = recorder or Recorder()
-    with tapped(recorder):
-        test = await run_device_test(settings, seconds, recorder.end)
-    return taken(recorder, settings, test)
+    tap = tap or Tap()
+    with tapped(tap):
+        test = await run_device_test(settings, seconds, tap.end)
+    return taken(tap, settings, test)
 
 
-def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Taken:
+def taken(tap: Tap, settings: DeviceSettings, test: DeviceTest) -> Taken:
     """Make a capture of recorded events, without what identifies the owner of the device.
 
     Raises
@@ -153,9 +116,9 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
     ConfigError
         ``WRONG_VALUE`` if there are no events, or something that was to be replaced is left.
     """
-    events = recorder.events()
+    events = events_of(tap)
     if not events:
-        raise ConfigError(ConfigReason.WRONG_VALUE, _nothing(recorder, settings, test))
+        raise ConfigError(ConfigReason.WRONG_VALUE, _nothing(tap, settings, test))
     entry, info = driver(settings.sensor), test.info or DeviceInfo()
     recognise = entry.recognise
     redaction = Redaction(
@@ -179,7 +142,7 @@ def taken(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> Tak
         gateway=version("biosensor-gateway"),
         recorded=time.strftime("%Y-%m"),
         seconds=round(max(each.t + each.took for each in redacted), 1),
-        failed=dict(recorder.failed),
+        failed=dict(tap.failed),
     )
     capture = Capture(header=header, events=tuple(redacted))
     if left := redaction.left_in(redacted, _texts(header)):
@@ -207,8 +170,8 @@ def _known(name: SecretName) -> str:
         return ""
 
 
-def _nothing(recorder: Recorder, settings: DeviceSettings, test: DeviceTest) -> str:
-    if recorder.failed or test.info is None:
+def _nothing(tap: Tap, settings: DeviceSettings, test: DeviceTest) -> str:
+    if tap.failed or test.info is None:
         why = "; ".join(test.problems) or "the device did not connect"
         return f"nothing could be captured: {why}"
     if driver(settings.sensor).recognise is not None:

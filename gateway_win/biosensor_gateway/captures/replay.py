@@ -13,7 +13,7 @@ from statistics import median
 from typing import Any, get_args
 
 import pylsl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
@@ -28,7 +28,7 @@ from biosensor_gateway.captures.player import Player, ReplayedLink, ReplayedPort
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.bleak_pickers import standing_in
-from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
+from biosensor_gateway.streaming.outlets import DeviceOutlets, Nowhere, Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock, LeapingClock
 from biosensor_gateway.transports.tap import Replacement, What, replaced
@@ -92,26 +92,12 @@ class Report:
     notes: list[str] = field(default_factory=list[str])  # Other information.
 
 
-class _Nowhere:
-    """An LSL outlet that discards samples."""
-
-    def push_sample(self, x: Sequence[str], timestamp: float = 0.0) -> None:
-        """Discard a text."""
-
-    def push_chunk(self, x: NDArray[Any], timestamp: list[float]) -> None:
-        """Discard samples."""
-
-    def have_consumers(self) -> bool:
-        """Return True, so that nothing waits for a receiver."""
-        return True
-
-
 class UnsentOutlet(Outlet):
     """Checks and counts samples as an outlet does, and sends nothing."""
 
-    def _made(self, info: pylsl.StreamInfo) -> _Nowhere:
+    def _made(self, info: pylsl.StreamInfo) -> Nowhere:
         del info
-        return _Nowhere()
+        return Nowhere()
 
 
 class ReplaySink(DeviceSink):

@@ -345,10 +345,9 @@ def start(
     the file shows that it records: if it is on another computer, give a folder that both can
     reach.
     """
-    if all_streams and only_ours:
-        raise typer.BadParameter("--all and --only-ours exclude each other")
-    if here and (window or host or port):
-        raise typer.BadParameter("--here excludes --window, --host and --port")
+    _refuse(all_streams and only_ours, "--all and --only-ours exclude each other")
+    is_window = bool(window or host or port)
+    _refuse(here and is_window, "--here excludes --window, --host and --port")
     labels = _labels(
         participant, run, session=session, task=task, acquisition=acquisition, modality=modality
     )
@@ -366,12 +365,17 @@ def start(
         counts_up=run is None,
     )
     loaded = settings_or_defaults(settings)
-    is_here = here or not (window or host or port or has_window(LOCAL_HOST, DEFAULT_PORT))
+    is_here = here or not (is_window or has_window(LOCAL_HOST, DEFAULT_PORT))
     recorder = LocalRecorder(state_folder()) if is_here else _window(host, port)
     with requests_interrupt():
         started = _begin(recorder, request, loaded)
     warn(started.warnings, silent=as_json)
     typer.echo(as_json_text(started) if as_json else start_text(started))
+
+
+def _refuse(is_wrong: bool, sentence: str) -> None:
+    if is_wrong:
+        raise typer.BadParameter(sentence)
 
 
 def _window(host: str | None, port: int | None) -> LabRecorder:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo, SensorSpec
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
@@ -16,6 +15,7 @@ from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 if TYPE_CHECKING:
     # Imports the keyring library, which few sensors need.
     from biosensor_gateway.settings.secrets import SecretName
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,7 @@ class DriverEntry(NamedTuple):
 
     settings: type[DeviceSettings]  # Model of the device's table in the settings file.
     # Called once per device; returns a function that creates a driver for each connection.
-    make: Callable[[DeviceSettings, Sink], Callable[[], Driver]]
+    make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
     # Recognises a device by an advertisement or a serial port; None for sensors that have neither.
     recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
     # Queries the vendor's services for their devices, given the settings of all configured devices

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Protocol, cast
 
 from bumble import att
 from bumble.core import UUID
@@ -433,15 +432,14 @@ class Indications:
             await asyncio.wait(self._under_way)
 
 
-class _Table(Protocol):
-    """The used part of bumble's service, whose annotation lacks a type argument."""
-
-    characteristics: list[Characteristic[bytes]]
+def _characteristics(service: Service) -> list[Characteristic[bytes]]:
+    # Bumble's annotation lacks the type argument.
+    return service.characteristics  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
 
 def protected_characteristics(services: Sequence[Service]) -> list[Protected]:
     """Return the characteristics that require authentication, with their services."""
-    every = ((service, c) for service in services for c in cast("_Table", service).characteristics)
+    every = ((service, c) for service in services for c in _characteristics(service))
     return [(service, c) for service, c in every if c.permissions & _AUTHENTICATED]
 
 
@@ -465,7 +463,7 @@ def deny_characteristics(
 ) -> None:
     """Answer reads of and subscriptions to these characteristics with ATT error 0x08."""
     for service in services:
-        for characteristic in cast("_Table", service).characteristics:
+        for characteristic in _characteristics(service):
             subscription = server.get_descriptor_attribute(
                 service.uuid, characteristic.uuid, _SUBSCRIPTION
             )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import wraps
 from itertools import pairwise
-from typing import Any, NamedTuple, ParamSpec, Protocol
+from typing import Any, NamedTuple, ParamSpec
 
 import numpy as np
 import pylsl
@@ -56,20 +56,18 @@ def _fault(what: Refusal, **facts: object) -> _Fault:
     return _Fault(what, facts)
 
 
-class Sending(Protocol):
-    """The used part of pylsl's outlet."""
+class Nowhere:
+    """The used part of an LSL outlet, which discards samples."""
 
     def push_sample(self, x: Sequence[str], timestamp: float = 0.0) -> None:
-        """Send a text sample."""
-        ...
+        """Discard a text."""
 
     def push_chunk(self, x: NDArray[Any], timestamp: list[float]) -> None:
-        """Send samples with their stamps."""
-        ...
+        """Discard samples."""
 
     def have_consumers(self) -> bool:
-        """Whether there is a receiver."""
-        ...
+        """Return True, so that nothing waits for a receiver."""
+        return True
 
 
 class Outlet:
@@ -119,7 +117,7 @@ class Outlet:
         # nothing is dropped: `_wait` reports what is given up
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 
-    def _made(self, info: pylsl.StreamInfo) -> Sending:
+    def _made(self, info: pylsl.StreamInfo) -> LslOutlet | Nowhere:
         """Create LSL's outlet."""
         return LslOutlet(info)
 
@@ -127,7 +125,7 @@ class Outlet:
     def session(self) -> str:
         """The LSL session; empty if it does not send over LSL."""
         sends = self._outlet
-        return sends.get_info().session_id() if isinstance(sends, pylsl.StreamOutlet) else ""
+        return "" if isinstance(sends, Nowhere) else sends.get_info().session_id()
 
     def await_return(self) -> None:
         """Queue the next samples until the receivers from before a kill have reconnected."""

@@ -38,7 +38,9 @@ class DeviceSink:
     """Takes the data of one device, over all its connections.
 
     It has the device's clock, outlets and counters. A driver reports packets with
-    :meth:`observe`, then passes their samples with times on the device's own clock.
+    :meth:`observe`, then passes their samples with times on the device's own clock. Drivers import
+    it for their annotations only: help and settings import them, and must work without numpy and
+    liblsl.
 
     Attributes
     ----------

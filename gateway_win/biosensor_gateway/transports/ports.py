@@ -117,18 +117,6 @@ ASKING, CONTROL, DATA = "asking", "control", "data"
 _ANY_PORT = 9
 
 
-class Asking(Protocol):
-    """A UDP port to send queries from, also as broadcasts."""
-
-    def sendto(self, data: bytes, addr: Address) -> None:
-        """Send a datagram."""
-        ...
-
-    def close(self) -> None:
-        """Close the port."""
-        ...
-
-
 class Accepting(Protocol):
     """A TCP port that waits for a device."""
 
@@ -166,8 +154,8 @@ class DataPort(Protocol):
 class Ports(Protocol):
     """Opens the ports for one connection of one device; raises OSError if one is unavailable."""
 
-    async def asking(self, take: Callable[[bytes, Address], None]) -> Asking:
-        """Open the port for queries; `take` is called with the answers."""
+    async def asking(self, take: Callable[[bytes, Address], None]) -> asyncio.DatagramTransport:
+        """Open a port for queries, also broadcasts; `take` is called with the answers."""
         ...
 
     def towards(self, host: str) -> str:
@@ -210,7 +198,7 @@ class _Accepting:
 class _SystemPorts:
     """Ports of the operating system."""
 
-    async def asking(self, take: Callable[[bytes, Address], None]) -> Asking:
+    async def asking(self, take: Callable[[bytes, Address], None]) -> asyncio.DatagramTransport:
         """Open the port for queries; see :class:`Ports`."""
         loop = asyncio.get_running_loop()
         transport, _ = await loop.create_datagram_endpoint(

@@ -7,6 +7,7 @@ one in the context in which the driver runs.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -75,20 +76,38 @@ class Passed:
     error: str = ""  # `att:14` or the reason of another error; empty on success.
 
 
-class Tap(Protocol):
-    """Observes all links of one device."""
+class Tap:
+    """Collects the events on all links of one device; see :func:`tapped`."""
+
+    def __init__(self, clock: Clock = LSL_CLOCK) -> None:
+        self._clock = clock
+        # By the number of a link: when it was opened, the advertisement if it is Bluetooth LE, and
+        # its characteristics.
+        self.links: list[tuple[float, Advertisement | None, Sequence[Characteristic]]] = []
+        self.events: list[tuple[int, Passed]] = []  # With the number of the link.
+        self.failed: Counter[str] = Counter()  # How often a link could not be opened, by reason.
+        self.came = 0  # Number of packets from the device.
+        self._has_ended = False
+
+    @property
+    def opened_s(self) -> float | None:
+        """Time at which the first link was opened [s]; None before."""
+        return self.links[0][0] if self.links else None
+
+    def end(self) -> None:
+        """Ignore all later events, such as the driver's closing messages."""
+        self._has_ended = True
 
     def opened(self, seen: Advertisement | None, table: Sequence[Characteristic]) -> int:
-        """Add a new link, with the advertisement if it is Bluetooth LE; return its number."""
-        ...
+        """Add a new link; return its number."""
+        self.links.append((self._clock(), seen, table))
+        return len(self.links) - 1
 
-    def failed_to_open(self, reason: str) -> None:
-        """Add a failed attempt to open a link."""
-        ...
-
-    def passed(self, link: int, what: Passed) -> None:
+    def passed(self, link: int, event: Passed) -> None:
         """Add an event on a link; an answer is filled in when it arrives."""
-        ...
+        if not self._has_ended:
+            self.events.append((link, event))
+            self.came += event.what is What.CAME
 
 
 class Replacement(NamedTuple):
@@ -173,7 +192,7 @@ class LinkTap:
     def failed(self, error: GatewayError) -> None:
         """Report that it could not be opened."""
         if self._tap is not None:
-            self._tap.failed_to_open(reason_of(error))
+            self._tap.failed[reason_of(error)] += 1
 
     def came(self, what: What, at: str, data: bytes, arrival: float) -> None:
         """Report data that arrived without a request, or were sent without an answer."""

@@ -5,19 +5,22 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected, DriverEntry, Found
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 from .declaration import RATE_HZ
 from .protocol import START, STOP, AcmeProtocol, Sample
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _ANSWER_LIMIT_S = 3.0
 _NUMBERS = 2**16
@@ -34,7 +37,7 @@ class AcmeSettings(DeviceSettings):
 class AcmeEmitter:
     """Passes on what a band measures, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         self._count: int | None = None
         self._states: dict[str, float] = {}
@@ -61,7 +64,7 @@ class AcmeDriver:
 
     silence_limit_s = 5.0
 
-    def __init__(self, settings: AcmeSettings, sink: Sink, emitter: AcmeEmitter) -> None:
+    def __init__(self, settings: AcmeSettings, sink: DeviceSink, emitter: AcmeEmitter) -> None:
         self._port = settings.port
         self._link = byte_link(settings.port)
         self._sink = sink
@@ -115,7 +118,7 @@ async def _find(configured: Sequence[DeviceSettings]) -> Sequence[Found]:
     return [Found("acme_band", "Acme Band", {"unit": "1", "port": port}) for port in here]
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], AcmeDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], AcmeDriver]:
     if not isinstance(settings, AcmeSettings):
         raise TypeError(f"not the settings of an Acme Band: {type(settings).__name__}")
     emitter = AcmeEmitter(sink)

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import TYPE_CHECKING
 
 import structlog
 from pydantic import Field
@@ -33,12 +34,14 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
 )
 from biosensor_gateway.devices.ble_session import BleConnection, optional_request
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, AttError, Pairing, PairSetting
 from biosensor_gateway.transports.nearby import Advertisement
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
 _ADVICE = "put it on with wet electrodes, and disconnect it from phones and watches"
@@ -116,7 +119,7 @@ class HeartRateStrapDriver:
             raise CredentialError(CredentialReason.REJECTED, message) from error
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HeartRateStrapDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(HeartRateStrapSettings, settings)
     emitter = StrapEmitter(sink)

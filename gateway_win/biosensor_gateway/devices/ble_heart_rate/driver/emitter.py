@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
     Beat,
@@ -14,7 +15,9 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     parse_battery_level,
     parse_measurement,
 )
-from biosensor_gateway.devices.sink import Sink
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 NO_INTERVAL_LIMIT_S = 5.0
 """A beating heart produces an interval within this time."""
@@ -40,7 +43,7 @@ class StrapEmitter:
 
     def __init__(
         self,
-        sink: Sink,
+        sink: DeviceSink,
         *,
         quality: Callable[[bool], Sequence[float]] = _contact_alone,
         trusts_contact: bool = True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
@@ -14,12 +15,14 @@ from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_session import BleConnection
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError, Pairing
 from biosensor_gateway.transports.nearby import Advertisement
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 KIND = "health device"
 _ADVICE = "switch it on or put it on, and disconnect it from phones"
@@ -58,7 +61,7 @@ class HealthEmitter:
         Circumference of the wheel.
     """
 
-    def __init__(self, sink: Sink, wheel_m: float) -> None:
+    def __init__(self, sink: DeviceSink, wheel_m: float) -> None:
         self.strap = StrapEmitter(sink)  # Emits battery and signal strength.
         self._sink = sink
         self._wheel_m = wheel_m
@@ -197,7 +200,7 @@ def _any(seen: Advertisement) -> str:
     return seen.address
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HealthDeviceDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HealthDeviceDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(HealthDeviceSettings, settings)
     emitter = HealthEmitter(sink, own.wheel_mm / 1000)

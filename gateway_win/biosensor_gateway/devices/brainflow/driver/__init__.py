@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 from pylsl import local_clock
@@ -38,16 +38,18 @@ from biosensor_gateway.devices.brainflow import (
 from biosensor_gateway.devices.brainflow.driver.emitter import (
     COUNTS_UP_TO,
     Frames,
+    OwnClock,
     PresetEmitter,
     Rows,
     Told,
-    own_clock,
 )
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings, ShortText
 from biosensor_gateway.transports.link import Early, Received
 from biosensor_gateway.transports.threads import Traffic, in_daemon_thread
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _BOARD = "_BOARD"
 
@@ -326,7 +328,7 @@ class BrainFlowDriver:
 
     silence_limit_s = 10.0
 
-    def __init__(self, settings: BrainFlowSettings, sink: Sink, *, is_declared: bool) -> None:
+    def __init__(self, settings: BrainFlowSettings, sink: DeviceSink, *, is_declared: bool) -> None:
         self._settings, self._sink = settings, sink
         self._is_declared = is_declared
         self._link = ProcessLink(settings)
@@ -401,7 +403,7 @@ class BrainFlowDriver:
                 _rate_hz(self._settings, preset, description),
                 COUNTS_UP_TO.get((self._settings.board, preset), 0),
                 self._sink,
-                self._sink if preset == 0 else own_clock(self._sink),
+                self._sink if preset == 0 else OwnClock(self._sink),
             )
             for preset, description in self._described.items()
         }
@@ -419,7 +421,7 @@ def _streams(
     return board_streams(found, settings.electrodes, settings.rate_hz)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], BrainFlowDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], BrainFlowDriver]:
     own = own_settings(BrainFlowSettings, settings)
     is_declared = bool(_declare(own).streams)
     return lambda: BrainFlowDriver(own, sink, is_declared=is_declared)

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from biosensor_common.device_clock import DeviceClock
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.brainflow import BoardStream, Description
-from biosensor_gateway.devices.sink import Sink
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _HEAD = struct.Struct("<cBI")
 _SAMPLES = struct.Struct("<dI")
@@ -129,26 +131,18 @@ class SampleCount:
         return places, int(steps.sum()) - len(steps)
 
 
-class _Stamps(Protocol):
-    """Takes a preset's device times, and emits its samples with them."""
-
-    def observe(self, device_s: float, arrival_s: float, /) -> None: ...
-
-    def emit(
-        self, data_name: str, samples: NDArray[np.float64], times: Sequence[float], /
-    ) -> None: ...
-
-
-class _OwnClock:
+class OwnClock:
     """The clock of a further preset of the board, which has a separate rate."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink, self._clock = sink, DeviceClock()
 
     def observe(self, device_s: float, arrival_s: float) -> None:
+        """See :meth:`DeviceSink.observe`."""
         self._clock.observe(device_s, arrival_s)
 
     def emit(self, data_name: str, samples: NDArray[np.float64], times: Sequence[float]) -> None:
+        """See :meth:`DeviceSink.emit`."""
         self._sink.emit_at(data_name, samples, self._clock.all_to_lsl(times))
 
 
@@ -171,8 +165,8 @@ class PresetEmitter:
         description: Description,
         rate_hz: float,
         turns_over_at: int,
-        sink: Sink,
-        stamps: _Stamps,
+        sink: DeviceSink,
+        stamps: DeviceSink | OwnClock,
     ) -> None:
         self._streams, self._rate_hz = streams, rate_hz
         self._stamp_row: int = description["timestamp_channel"]
@@ -236,8 +230,3 @@ class PresetEmitter:
         if text != self._remark:
             self._remark = text
             self._sink.remark(f"rate of {[each.spec.data_name for each in self._streams]}", text)
-
-
-def own_clock(sink: Sink) -> _Stamps:
-    """Return a separate clock for a preset."""
-    return _OwnClock(sink)

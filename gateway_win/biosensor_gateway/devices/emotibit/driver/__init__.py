@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -31,9 +31,11 @@ from biosensor_gateway.devices.emotibit.driver.link import (
     connect,
 )
 from biosensor_gateway.devices.emotibit.driver.protocol import NUMBERS, Packet, Tag
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.link import Address, Early
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 PATIENCE_S = 3.0
 RATE_LIMIT_S = 2.0
@@ -130,7 +132,9 @@ class EmotiBitDriver:
 
     silence_limit_s = 8.0
 
-    def __init__(self, settings: EmotiBitSettings, sink: Sink, emitter: EmotiBitEmitter) -> None:
+    def __init__(
+        self, settings: EmotiBitSettings, sink: DeviceSink, emitter: EmotiBitEmitter
+    ) -> None:
         self._settings = settings
         self._sink = sink
         self._emitter = emitter
@@ -267,7 +271,7 @@ def _answer(link: Link, request: Packet, to: Address) -> None:
     link.answer(Tag.ACK, (str(request.number), Tag.REQUEST_DATA), to)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotiBitDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotiBitDriver]:
     """Share one emitter between all connections, to count losses across them."""
     own = own_settings(EmotiBitSettings, settings)
     emitter = EmotiBitEmitter(sink, own.ppg_rate)

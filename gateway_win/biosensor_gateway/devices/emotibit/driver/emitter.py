@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from math import nan
 from statistics import linear_regression
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
 from biosensor_gateway.devices.emotibit import (
@@ -21,7 +21,9 @@ from biosensor_gateway.devices.emotibit.driver.protocol import (
     Packet,
     Tag,
 )
-from biosensor_gateway.devices.sink import Sink
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 TOGETHER_S = 0.006
 """Largest difference between timestamps of channels that were read together."""
@@ -325,7 +327,7 @@ class EmotiBitEmitter:
         Rate of the pulse, which depends on the firmware.
     """
 
-    def __init__(self, sink: Sink, ppg_hz: float) -> None:
+    def __init__(self, sink: DeviceSink, ppg_hz: float) -> None:
         self._sink = sink
         self._order, self._times = InOrder(), PacketTimeline(TIMES_MS)
         self._is_first = False

@@ -26,7 +26,6 @@ from biosensor_gateway.transports.ports import (
     CONTROL,
     DATA,
     Accepting,
-    Asking,
     DataPort,
     Ports,
 )
@@ -65,7 +64,7 @@ class Advertising:
         """Ports, also for the other channels of the EmotiBit found."""
         self.tap = LinkTap(LSL_CLOCK)
         """Captures the traffic of all channels."""
-        self._transport: Asking | None = None
+        self._transport: asyncio.DatagramTransport | None = None
         self._number = 0
         self._heard: asyncio.Queue[tuple[Packet, Address]] = asyncio.Queue()
 

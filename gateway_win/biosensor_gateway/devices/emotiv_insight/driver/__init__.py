@@ -6,6 +6,7 @@ import asyncio
 import re
 from collections.abc import Callable, Sequence
 from ipaddress import ip_address
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import structlog
@@ -47,10 +48,12 @@ from biosensor_gateway.devices.emotiv_insight.driver.session import (
     reach,
     search,
 )
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.tap import text_link_of
 from biosensor_gateway.transports.websocket import WebSocketLink
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 DEFAULT_URL = "wss://localhost:6868"
 
@@ -130,7 +133,7 @@ class EmotivInsightDriver:
     def __init__(
         self,
         settings: EmotivInsightSettings,
-        sink: Sink,
+        sink: DeviceSink,
         emitter: EmotivEmitter,
         account: Account,
     ) -> None:
@@ -285,7 +288,7 @@ def _has_gyroscope(subscription: Subscription) -> bool:
     return motion is not None and not motion.labels.isdisjoint(GYROSCOPE)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotivInsightDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsightDriver]:
     """Share the token and the emitter between all connections."""
     own = own_settings(EmotivInsightSettings, settings)
     emitter = EmotivEmitter(sink)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import structlog
 
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.emotiv_insight import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import names_in_log
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
@@ -157,7 +160,7 @@ class EmotivEmitter:
     keeps its offset of about 4200 uV.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         self._counts = {
             "eeg": SampleCount(EEG_RATE_HZ),

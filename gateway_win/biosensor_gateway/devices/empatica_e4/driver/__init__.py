@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import structlog
 from pydantic import Field
@@ -30,10 +31,12 @@ from biosensor_gateway.devices.empatica_e4.driver.protocol import (
     Wristband,
     request,
 )
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import tcp_link
 from biosensor_gateway.transports.dialogue import Dialogue, Heard
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 PATIENCE_S = 5.0
 SHOWN = 60
@@ -159,7 +162,7 @@ class E4Driver:
     # A wristband out of range is silent for longer than the limit of its streams.
     silence_limit_s = RADIO_GRACE_S + 10.0
 
-    def __init__(self, settings: E4Settings, sink: Sink, emitter: E4Emitter) -> None:
+    def __init__(self, settings: E4Settings, sink: DeviceSink, emitter: E4Emitter) -> None:
         self._where = f"E4 server {settings.host}:{settings.port}"
         self._wanted = settings.device.lower()
         self._sink = sink
@@ -338,7 +341,7 @@ class E4Driver:
         raise TransportError(TransportReason.LOST, message)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], E4Driver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], E4Driver]:
     """Share one emitter between all connections, to estimate losses across them."""
     own = own_settings(E4Settings, settings)
     emitter = E4Emitter(sink)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from math import inf
+from typing import TYPE_CHECKING
 
 from biosensor_gateway.devices.empatica_e4.driver.protocol import Sample, Stream
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.link import Early
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 ACC_COUNTS_PER_G = 64.0
 RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}
@@ -101,7 +104,7 @@ class LossEstimate:
 class E4Emitter:
     """Converts samples to streams; one instance per wristband, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         # Log of the device; its once-only messages appear once, not once per connection.
         self.log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)

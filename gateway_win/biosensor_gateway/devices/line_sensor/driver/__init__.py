@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import isnan
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_common.spec import SensorSpec
@@ -28,7 +28,6 @@ from biosensor_gateway.devices.line_sensor.driver.protocol import (
     checked_format,
 )
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.device_log import DeviceLog, Once
 from biosensor_gateway.transports.byte_links import byte_link
@@ -36,6 +35,9 @@ from biosensor_gateway.transports.link import Address, ByteLink, Early, Received
 from biosensor_gateway.transports.ports import UdpPort
 from biosensor_gateway.transports.tap import byte_link_of, text_link_of
 from biosensor_gateway.transports.websocket import WebSocketLink
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 PATIENCE_S = 0.35
 """How long a line waits for an earlier one, as for other datagram senders."""
@@ -165,7 +167,7 @@ _SOME_LINES = 3.0
 class LineDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    def __init__(self, settings: LineSettings, sink: Sink, emitter: LineEmitter) -> None:
+    def __init__(self, settings: LineSettings, sink: DeviceSink, emitter: LineEmitter) -> None:
         self._settings = settings
         self._where = _where(settings)
         self._sink = sink
@@ -303,7 +305,7 @@ def _where(settings: LineSettings) -> str:
     return settings.url or settings.port or ""
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], LineDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], LineDriver]:
     """Share one emitter between all connections, to follow the count across them."""
     own = own_settings(LineSettings, settings)
     emitter = LineEmitter(own, sink)

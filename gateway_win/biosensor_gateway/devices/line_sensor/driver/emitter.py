@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import dataclass, field
 from enum import Enum, unique
 from math import isnan
+from typing import TYPE_CHECKING
 
 from biosensor_gateway.devices.line_sensor import streams_of
 from biosensor_gateway.devices.line_sensor.driver.protocol import (
@@ -15,8 +16,10 @@ from biosensor_gateway.devices.line_sensor.driver.protocol import (
     turns_over_at,
 )
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _TWICE = "they came twice or out of order"
 _NO_PLACE = "their count or their time is not a number"
@@ -138,7 +141,7 @@ class LineEmitter:
         Settings and sink of the device.
     """
 
-    def __init__(self, settings: LineSettings, sink: Sink) -> None:
+    def __init__(self, settings: LineSettings, sink: DeviceSink) -> None:
         self._sink = sink
         self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
         self._rate_hz = settings.rate_hz

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -33,12 +33,14 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     movement,
     parse_message,
 )
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import Pairing
 from biosensor_gateway.transports.nearby import Advertisement
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _REGULAR = frozenset({"ecg", *MOVEMENT})
 KIND = "Movesense"
@@ -198,7 +200,7 @@ class MovesenseDriver:
         self,
         link: BleLink,
         emitter: MovesenseEmitter,
-        sink: Sink,
+        sink: DeviceSink,
         wanted: Sequence[Measurement],
         rates: Mapping[str, float],
     ) -> None:
@@ -305,7 +307,7 @@ def _measurements(settings: MovesenseSettings) -> Sequence[Measurement]:
     return found
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], MovesenseDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(MovesenseSettings, settings)
     silent = _REGULAR - own.wanted

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from biosensor_common.clocks import TIMELINE_GAIN
 from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
@@ -29,8 +29,11 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     parse_temperature,
     parse_vectors,
 )
-from biosensor_gateway.devices.sink import RestartCheck, Sink
+from biosensor_gateway.devices.restart_check import RestartCheck
 from biosensor_gateway.system.device_log import DeviceLog
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 QUALITY_PERIOD_S = 1.0
 
@@ -150,7 +153,7 @@ class PacketSeries:
 class MovesenseEmitter:
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: Sink, silent: Collection[str]) -> None:
+    def __init__(self, sink: DeviceSink, silent: Collection[str]) -> None:
         # Emitter for what all heart-rate straps have: battery, signal strength.
         self.strap = StrapEmitter(sink)
         # Log of the device; its once-only messages appear once, not once per connection.

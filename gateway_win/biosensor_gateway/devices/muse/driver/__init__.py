@@ -6,7 +6,7 @@ import asyncio
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -30,12 +30,14 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     Answers,
     text_of,
 )
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 KIND = "Muse"
 ADVICE = "switch it on (its lights run), and disconnect it from phones and other programs"
@@ -228,7 +230,7 @@ class MuseDriver:
     silence_limit_s = 30.0
 
     def __init__(
-        self, link: BleLink, emitter: MuseEmitter, sink: Sink, settings: MuseSettings
+        self, link: BleLink, emitter: MuseEmitter, sink: DeviceSink, settings: MuseSettings
     ) -> None:
         self._link = link
         self._emitter = emitter
@@ -363,7 +365,7 @@ class MuseDriver:
                 self._emitter.take(notification)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MuseDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], MuseDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(MuseSettings, settings)
     emitter = MuseEmitter(sink)

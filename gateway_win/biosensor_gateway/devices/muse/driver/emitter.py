@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -45,9 +45,12 @@ from biosensor_gateway.devices.muse.driver.protocol import (
     parse_motion,
 )
 from biosensor_gateway.devices.muse.driver.sample_clock import PacketSeries, SampleClock
-from biosensor_gateway.devices.sink import RestartCheck, Sink
+from biosensor_gateway.devices.restart_check import RestartCheck
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import Notification
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _ELECTRODES = {uuid: channel for channel, uuid in enumerate((*EEG, AUX))}
 _DIODES = {uuid: channel for channel, uuid in enumerate(PPG)}
@@ -137,7 +140,7 @@ class _Numbered:
     """One series of packets or blocks, which contains one or more streams."""
 
     def __init__(
-        self, sink: Sink, log: DeviceLog, modulus: int, samples: int, rate_hz: float
+        self, sink: DeviceSink, log: DeviceLog, modulus: int, samples: int, rate_hz: float
     ) -> None:
         self.series = PacketSeries(modulus, samples, rate_hz)
         self._sink, self._log, self._samples = sink, log, samples
@@ -179,7 +182,7 @@ class ClassicEmitter:
     arrivals.
     """
 
-    def __init__(self, sink: Sink, log: DeviceLog) -> None:
+    def __init__(self, sink: DeviceSink, log: DeviceLog) -> None:
         self._sink = sink
         self._eeg = _Numbered(sink, log, NUMBERS, EEG_SAMPLES, EEG_HZ)
         self._light = _Numbered(sink, log, NUMBERS, LIGHT_SAMPLES, LIGHT_HZ)
@@ -280,7 +283,7 @@ _SAMPLES = {
 class AthenaEmitter:
     """Emits the data of an Athena, over all its connections."""
 
-    def __init__(self, sink: Sink, log: DeviceLog) -> None:
+    def __init__(self, sink: DeviceSink, log: DeviceLog) -> None:
         self._sink, self._log = sink, log
         self._wanted: frozenset[str] = frozenset()
         self._kinds = {
@@ -401,7 +404,7 @@ def _streams(blocks: Sequence[Block]) -> dict[str, Floats]:
 class MuseEmitter:
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         self._log = DeviceLog("biosensor_gateway.muse", sink.identity)
         self._classic = ClassicEmitter(sink, self._log)

@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import AsyncExitStack
+from typing import TYPE_CHECKING
 
 import structlog
 from pydantic import Field
@@ -24,12 +25,14 @@ from biosensor_gateway.devices.polar_broadcast.driver.protocol import (
     Broadcast,
     parse,
 )
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.clock import Clock
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_scanner import Sighting, sightings
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 READABLE_S = 5.0
 """Time for five measurements, of which at least one should be valid."""
@@ -117,7 +120,7 @@ class PolarBroadcastDriver:
         return ProtocolError(ProtocolReason.UNSUPPORTED, message)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarBroadcastDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarBroadcastDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarBroadcastSettings, settings)
     emitter = BroadcastEmitter(sink)
@@ -168,7 +171,7 @@ class BroadcastEmitter:
     received, with that arrival time.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         # Whether the device can detect that it is worn; the contact bit of optical sensors is
         # meaningless.

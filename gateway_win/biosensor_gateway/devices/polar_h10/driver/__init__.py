@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import structlog
 from pydantic import Field
@@ -36,12 +36,14 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     parse_indication,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, Pairing, PairSetting
 from biosensor_gateway.transports.nearby import Advertisement
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 ASK_AGAIN_FIRST_S = 1.0
 ASK_AGAIN_CAP_S = 30.0
@@ -378,7 +380,7 @@ def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
     return [*([ecg] if settings.ecg else []), *([acceleration] if settings.acc else [])]
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarH10Settings, settings)
     emitter = PolarEmitter(sink)

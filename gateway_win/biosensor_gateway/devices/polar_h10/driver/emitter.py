@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
@@ -17,8 +17,11 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     measurement_of,
     parse_frame,
 )
-from biosensor_gateway.devices.sink import RestartCheck, Sink
+from biosensor_gateway.devices.restart_check import RestartCheck
 from biosensor_gateway.system.device_log import DeviceLog
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _NS = 1_000_000_000
 RATE_TOLERANCE = 0.1
@@ -212,7 +215,7 @@ class PolarEmitter:
 
     def __init__(
         self,
-        sink: Sink,
+        sink: DeviceSink,
         data_names: Mapping[Measurement, str] = DATA_NAMES,
         *,
         strap: StrapEmitter | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from math import nan
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -36,13 +36,15 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     RegularFrame,
 )
 from biosensor_gateway.devices.polar_verity_sense import SPEC
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import PAIR_DESCRIPTION, Pairing, PairSetting
 from biosensor_gateway.transports.nearby import Advertisement
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _ADVICE = "switch it on to its heart-rate mode, and close the apps that use it"
 MODELS = frozenset({"Sense", "Verity Sense", "OH1", "360"})
@@ -248,7 +250,7 @@ def _asked_rates(own: PolarVeritySenseSettings) -> Mapping[str, float]:
     }
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(PolarVeritySenseSettings, settings)
     emitter = OpticalEmitter(sink)
@@ -286,7 +288,7 @@ class OpticalEmitter(PolarEmitter):
     counts. The contact flag is ignored, because its vendor calls it unreliable.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         strap = StrapEmitter(sink, quality=self._quality, trusts_contact=False)
         super().__init__(sink, DATA_NAMES, strap=strap, doubted=DOUBTED)
         self.on_intervals = self._intervals

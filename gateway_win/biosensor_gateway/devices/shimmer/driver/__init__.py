@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import structlog
@@ -60,8 +60,10 @@ from biosensor_gateway.devices.shimmer.driver.signals import (
     sensor,
     status_places,
 )
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 EXG_BOARDS = frozenset({37, 47, 59})
 
@@ -384,7 +386,7 @@ def _connected(measurement: Measurement) -> Connected:
     return Connected(rates=rates, silent=off, denied=measurement.denied)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections, to follow the device's clock across them."""
     own = own_settings(Shimmer3Settings, settings)
     emitter = ShimmerEmitter(sink)
@@ -439,7 +441,7 @@ class _Told:
 class ShimmerEmitter(PacketEmitter):
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         super().__init__(sink, "shimmer")
         self._measurement: Measurement | None = None
         self._told = _Told()

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import structlog
 
@@ -25,8 +25,10 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     StatusFlag,
 )
 from biosensor_gateway.devices.shimmer.driver.packets import PacketEmitter
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.byte_links import byte_link
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 BATTERY_PERIOD_S = 60.0
 """The firmware itself measures the battery once a minute."""
@@ -64,7 +66,7 @@ class ShimmerDriver:
     def __init__(
         self,
         port: str,
-        sink: Sink,
+        sink: DeviceSink,
         emitter: PacketEmitter,
         prepare: Callable[[Conversation, Kind], Awaitable[Prepared]],
     ) -> None:

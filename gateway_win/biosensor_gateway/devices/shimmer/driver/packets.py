@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,10 @@ from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.shimmer.driver.calibration import ADC_MAX, ADC_VOLTS
 from biosensor_gateway.devices.shimmer.driver.messages import TICKS_PER_S, BatteryReading, Packet
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _DIVIDER = 1.988
 _CHARGER_CHECKS_ABOVE_VOLTS = 4.5
@@ -127,7 +129,7 @@ class PacketEmitter(ABC):
         Name of the sensor, for the log.
     """
 
-    def __init__(self, sink: Sink, name: str) -> None:
+    def __init__(self, sink: DeviceSink, name: str) -> None:
         self._sink = sink
         self._log = DeviceLog(f"biosensor_gateway.{name}", sink.identity)
         self._timeline = TickTimeline()

@@ -191,7 +191,9 @@ class SimulatedShimmer(VirtualDevice):
         self.wearer = self.specimen.wearer
         self.firmware = Firmware(*firmware)
         self._flash = self._new_flash(f"Shimmer_{self.name[-4:]}")
-        self._interpreter = Interpreter(self.firmware, self._flash, self, self.memory)
+        self._interpreter = Interpreter(
+            self.firmware, self._flash, self.ticks, self.battery_counts, self.memory
+        )
         self._conversation = Conversation(
             self.firmware, self._interpreter, self._write, self._obeyed
         )

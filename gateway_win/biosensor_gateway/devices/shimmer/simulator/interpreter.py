@@ -7,7 +7,6 @@ It has no I/O: commands come in, messages without checksum go out; time and batt
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.wire import (
@@ -49,18 +48,6 @@ _BLOCKED_WHILE_SENSING = frozenset(
 )
 
 
-class Hardware(Protocol):
-    """What the interpreter needs from the rest of the device."""
-
-    def ticks(self) -> int:
-        """Ticks of 1/32768 s since power-on."""
-        ...
-
-    def battery_counts(self) -> int:
-        """Return the battery voltage in ADC counts."""
-        ...
-
-
 class Interpreter:
     """One device's command processor.
 
@@ -75,12 +62,18 @@ class Interpreter:
     """
 
     def __init__(
-        self, firmware: Firmware, flash: Flash, hardware: Hardware, memory: Memory | None = None
+        self,
+        firmware: Firmware,
+        flash: Flash,
+        ticks: Callable[[], int],
+        battery_counts: Callable[[], int],
+        memory: Memory | None = None,
     ) -> None:
         self._memory = memory or Memory()
         self._firmware = firmware
         self._flash = flash
-        self._hardware = hardware
+        # Returns ticks of 1/32768 s since power-on, and the battery's voltage in ADC counts.
+        self._ticks, self._battery_counts = ticks, battery_counts
         self.docked = False
         self.card_present = True
         self._answers = self._handlers()
@@ -133,9 +126,7 @@ class Interpreter:
             Opcode.SET_EXG_REGISTERS: self._set_exg,
             Opcode.GET_EXG_REGISTERS: self._get_exg,
             Opcode.GET_FIRMWARE_VERSION: lambda _: self._version(),
-            Opcode.GET_CHARGE_LED: lambda _: bytes(
-                (0x31, wire.led_level(self._hardware.battery_counts()))
-            ),
+            Opcode.GET_CHARGE_LED: lambda _: bytes((0x31, wire.led_level(self._battery_counts()))),
             Opcode.GET_SHIMMER_VERSION: lambda _: self._version_of_hardware(),
             Opcode.SET_EXPANSION_POWER: self._set_expansion_power,
             Opcode.GET_EXPANSION_POWER: lambda _: bytes((0x5F, self._flash.expansion_power)),
@@ -254,14 +245,14 @@ class Interpreter:
         return b""
 
     def _clock(self) -> int:
-        return (self._hardware.ticks() + (self._clock_offset or 0)) % (1 << 64)
+        return (self._ticks() + (self._clock_offset or 0)) % (1 << 64)
 
     def _set_clock(self, arguments: bytes) -> bytes:
-        self._clock_offset = int.from_bytes(arguments, "little") - self._hardware.ticks()
+        self._clock_offset = int.from_bytes(arguments, "little") - self._ticks()
         return b""
 
     def _battery(self) -> bytes:
-        counts = self._hardware.battery_counts()
+        counts = self._battery_counts()
         charger = wire.charger_byte(counts, docked=self.docked)
         return IN_STREAM + b"\x94" + _u16(counts) + bytes((charger,))
 

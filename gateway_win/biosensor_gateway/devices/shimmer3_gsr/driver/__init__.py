@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from math import isfinite
 from statistics import median
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,9 +35,11 @@ from biosensor_gateway.devices.shimmer.driver.conversation import (
 from biosensor_gateway.devices.shimmer.driver.messages import AUTO_RANGE, TICKS_PER_S, Inquiry
 from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketEmitter
 from biosensor_gateway.devices.shimmer3_gsr import SPEC
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.pulses import Pulses
 from biosensor_gateway.settings.models import DeviceSettings
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 GSR_BOARDS = frozenset({14, 48})
 QUALITY_PERIOD_S = 10.0
@@ -132,7 +134,7 @@ def _wanted(settings: ShimmerSettings) -> Wanted:
     return Wanted(messages.divisor_for(settings.rate_hz), setting)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections, to follow the device's clock across them."""
     own = own_settings(ShimmerSettings, settings)
     emitter = GsrEmitter(sink)
@@ -313,7 +315,7 @@ class Measurement:
 class GsrEmitter(PacketEmitter):
     """Converts packets to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         super().__init__(sink, "shimmer3_gsr")
         self._measurement: Measurement | None = None
         self._quality: list[float] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
@@ -16,7 +17,6 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_advertisement, own_settings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol
 from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
     REPLY_LIMIT_S,
@@ -31,6 +31,9 @@ from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.dialogue import Heard
 from biosensor_gateway.transports.nearby import Advertisement
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 WAKING_LIMIT_S = 1.0
 RESTART_LIMIT_S = 2.0
@@ -66,7 +69,7 @@ class VernierDriver:
     silence_limit_s = 60.0
 
     def __init__(
-        self, settings: VernierSettings, choice: Choice, sink: Sink, emitter: VernierEmitter
+        self, settings: VernierSettings, choice: Choice, sink: DeviceSink, emitter: VernierEmitter
     ) -> None:
         self._period_us = settings.period_ms * 1000
         self._sink = sink
@@ -176,7 +179,7 @@ def _device_info(identity: protocol.Identity | None) -> DeviceInfo:
     return DeviceInfo("", identity.order_code, identity.serial_number, identity.firmware)
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], VernierDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], VernierDriver]:
     """Share the emitter and the device selection between all connections."""
     own = own_settings(VernierSettings, settings)
     choice = Choice(identify, KIND, own.device, ADVICE)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_session import BleSession
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     COMMAND_UUID,
     REFUSED,
@@ -24,6 +23,9 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
 )
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.dialogue import Heard
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 REPLY_LIMIT_S = 5.0
 SETTLE_S = 0.1
@@ -63,7 +65,7 @@ class Conversation(BleSession[Heard[Message], _Command]):
         Its ``dropped_bytes`` are increased here.
     """
 
-    def __init__(self, link: BleLink, sink: Sink) -> None:
+    def __init__(self, link: BleLink, sink: DeviceSink) -> None:
         super().__init__(link, self._receive, self._send, "press its button")
         self._sink = sink
         self._protocol = VernierProtocol()

@@ -6,11 +6,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from statistics import fmean, pstdev
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import ClockState
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Measurement,
@@ -20,6 +19,9 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     Status,
 )
 from biosensor_gateway.system.device_log import DeviceLog
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 HELD_PACKETS = 5
 """Of this many packets, the one with the smallest delay is hardly delayed."""
@@ -284,7 +286,7 @@ class _Fit:
 class VernierEmitter:
     """Converts messages to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         self.log = DeviceLog("biosensor_gateway.vernier", sink.identity)
         self._numbering = Numbering(lambda: sink.clock_state)

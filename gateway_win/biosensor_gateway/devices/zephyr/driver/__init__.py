@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.driver import Connected, DriverEntry, by_port_name, own_settings
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Message,
@@ -28,6 +28,9 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.dialogue import Dialogue, Heard
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 # The same order as in a recorded session.
 PACKETS = (
@@ -78,7 +81,7 @@ class ZephyrDriver:
     # The device sends a lifesign every 3 s, whatever is enabled.
     silence_limit_s = 10.0
 
-    def __init__(self, settings: ZephyrSettings, sink: Sink, emitter: ZephyrEmitter) -> None:
+    def __init__(self, settings: ZephyrSettings, sink: DeviceSink, emitter: ZephyrEmitter) -> None:
         self._port = settings.port
         self._link = byte_link(settings.port)
         self._sink = sink
@@ -202,7 +205,7 @@ class ZephyrDriver:
             )
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriver]:
     """Share one emitter between all connections, to detect gaps across them."""
     own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import PacketTimeline, SampleTimeline
 from biosensor_common.device_clock import LONGEST_DELAY_S
-from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
     Event,
@@ -29,6 +29,9 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     MessageId,
 )
 from biosensor_gateway.system.device_log import DeviceLog
+
+if TYPE_CHECKING:
+    from biosensor_gateway.streaming.sink import DeviceSink
 
 _SEQUENCE_MODULUS = 256
 # With bad contact the device reports intervals from 24 to 12 498 ms; a heart at rest beats 24 times
@@ -180,7 +183,7 @@ _OF_SUMMARIES = ("hr_confidence", "br_unreliable", "hrv_unreliable", "link_quali
 class ZephyrEmitter:
     """Converts messages to samples; one instance per device, over all its connections."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: DeviceSink) -> None:
         self._sink = sink
         self._log = DeviceLog("biosensor_gateway.zephyr", sink.identity)
         self._tracks = {

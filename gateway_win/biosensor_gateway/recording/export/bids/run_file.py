@@ -166,7 +166,7 @@ def write_eeg(
     with path.open("x+b") as file:
         rows = BinaryRows(file, is_small=is_small(stream))
         grid = fill(rows, samples, part, rate_hz)
-    write_header(path.with_suffix(".vhdr"), stream, names_of(stream), rows.kind, rate_hz)
+    write_header(path.with_suffix(".vhdr"), stream, sidecars.columns(stream), rows.kind, rate_hz)
     start_s = part.start_s + grid.first_row / rate_hz
     table = RegularTable(
         path,
@@ -180,18 +180,13 @@ def write_eeg(
     return file, table
 
 
-def names_of(stream: Stream) -> list[str]:
-    """Return the names of the channels."""
-    return sidecars.columns(stream)
-
-
 def describe_eeg(
     root: Path, file: RunFile, timing: Timing, table: RegularTable, timeline: Timeline
 ) -> None:
     """Write the sidecar files of a run, except its events."""
     stream = file.stream
     units = [sidecars.unit(each) for each in stream.meaning.units]
-    types = file.write_channels(root, names_of(stream), units)
+    types = file.write_channels(root, sidecars.columns(stream), units)
     counts = {f"{name}ChannelCount": types.count(kind) for kind, name in _COUNTED.items()}
     content = {
         **file.described(),
