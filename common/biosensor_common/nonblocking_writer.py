@@ -185,7 +185,7 @@ NO_NETWORK = (
 
 
 def console(descriptor: int, name: str) -> NonblockingWriter | None:
-    """Duplicate the output of a descriptor; None if it has none, as in a windowed program."""
+    """Return a writer to a file descriptor; None if that is not open, as in a windowed program."""
     try:
         # A raw file has neither a buffer nor a lock, and writes Unicode to a Windows console.
         output = open(os.dup(descriptor), "wb", buffering=0)  # noqa: PTH123, SIM115 - no path

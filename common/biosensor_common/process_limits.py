@@ -118,7 +118,7 @@ def exhausted(what: str) -> TransportError:
 
 
 def no_room() -> str:
-    """Return why a stream does not fit, and how to make room."""
+    """Return why no further stream can be opened, and how to raise the limit."""
     return f"{reason()}; {fix()}"
 
 

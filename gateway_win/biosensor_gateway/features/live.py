@@ -375,7 +375,7 @@ class Live:
                 self._refuse(what, count, about=stage.source.name, why=why)
 
     def _lose(self, key: str, stage: _Stage) -> None:
-        """Search for a new outlet of the stream."""
+        """Mark the stream as lost, so that a new outlet of it is searched for."""
         stage.is_lost = True
         self._known = {uid: each for uid, each in self._known.items() if each != key}
         if not stage.has_begun:

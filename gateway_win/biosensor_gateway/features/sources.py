@@ -279,7 +279,11 @@ def _times(count: int) -> str:
 
 
 def _columns(header: StreamHeader) -> range:
-    """Return three axes, the skin temperature, or the first channel that is not ambient light."""
+    """Return the columns to compute from.
+
+    These are the three axes of an accelerometer, the skin temperature, or else the first channel
+    that is not ambient light.
+    """
     if header.content_type == ContentType.ACCELEROMETER:
         return range(_AXES)
     if header.content_type == ContentType.TEMPERATURE:

@@ -161,7 +161,7 @@ def is_forgotten(error: Exception) -> bool:
 
 
 def _system_reason(error: Exception) -> TransportReason | None:
-    """Return a reason that is in this computer, not in the device; None if there is none."""
+    """Return the reason if this computer and not the device causes the error; else None."""
     if isinstance(error, BleakBluetoothNotAvailableError):
         denied = error.reason in _DENIED
         return TransportReason.DENIED if denied else TransportReason.UNAVAILABLE

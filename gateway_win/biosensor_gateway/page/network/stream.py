@@ -281,7 +281,7 @@ class NetworkStream:
         return claim_of(self.core)
 
     def continues_as(self, core: CoreFields) -> bool:
-        """Whether an outlet with these core fields is this stream again."""
+        """Whether an outlet with these core fields continues this stream."""
         # Our source_ids are unique. Other programs use one for several streams, or none.
         own = self.core
         if (own.source_id, own.channel_count, own.format) != (

@@ -110,7 +110,7 @@ class Marking:
         )
 
     async def undo(self, number: int | None) -> None:
-        """Undo a marker, which is not deleted.
+        """Announce that a marker does not count; the marker itself stays in recordings.
 
         Raises
         ------

@@ -361,7 +361,7 @@ class Exported:
 
     @property
     def is_certain(self) -> bool:
-        """Whether all of it is written, now or before, with certain names."""
+        """Whether everything is written, now or earlier, and whose data it is is certain."""
         return not self.error and (self.outcome is None or self.outcome.is_certain)
 
 

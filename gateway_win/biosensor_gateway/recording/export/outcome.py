@@ -53,7 +53,7 @@ class Outcome:
 
     @property
     def is_certain(self) -> bool:
-        """Whether all of it was written, with certain names."""
+        """Whether everything was written, and whose data it is is certain."""
         return self.is_whole and self.mismatch is None
 
     @property

@@ -114,7 +114,7 @@ def _take_pieces(stream: Stream, pieces: Pieces) -> None:
 
 
 def is_named(path: Path, person: Person) -> bool:
-    """Whether a recording's headers or texts name a person, or parts cannot be read.
+    """Whether a recording's headers or texts name a person, or unreadable parts may do so.
 
     Raises
     ------

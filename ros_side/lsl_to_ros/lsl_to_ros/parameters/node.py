@@ -110,7 +110,7 @@ def period_fault(value: float) -> str | None:
 
 
 def aliases_of(value: Sequence[str]) -> dict[str, str]:
-    """Return sensor names by LSL stream names, in which ``*`` matches any text."""
+    """Parse ``stream=sensor``: sensor names by LSL stream names, in which ``*`` is any text."""
     pairs = (each.rpartition("=") for each in value if each)
     return {name.strip(): alias.strip() for name, _, alias in pairs}
 

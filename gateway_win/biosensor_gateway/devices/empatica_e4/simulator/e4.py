@@ -287,7 +287,7 @@ class SimulatedE4(VirtualDevice):
         return {"host": LOOPBACK, "port": self._listener.port, "device": device_id}
 
     def truth_of(self, device_id: str) -> Truth:
-        """Return the truth of one wristband."""
+        """Return what one wristband measured and sent."""
         return self._wristbands[device_id.lower()].truth
 
     async def _start(self) -> None:

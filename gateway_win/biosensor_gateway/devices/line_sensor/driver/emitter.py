@@ -244,7 +244,7 @@ class LineEmitter:
         )
 
     def _is_placed(self, row: Row) -> bool:
-        """Whether a row has a valid count and time, which may be NaN in a struct."""
+        """Whether a row's count and time are numbers; in a struct they may be NaN."""
         needed = [each for each in (self._at_count, self._at_time) if each is not None]
         return not any(isnan(row[each]) for each in needed)
 

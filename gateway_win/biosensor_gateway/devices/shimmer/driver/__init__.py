@@ -126,7 +126,6 @@ async def _motion_calibrations(
 
     Parameters
     ----------
-    talk, kind, layout
     present
         Setup of the device, with the ranges of its sensors.
     air

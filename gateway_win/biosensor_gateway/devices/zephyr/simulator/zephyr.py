@@ -188,7 +188,7 @@ class SyntheticSource:
         self._oscillator = Oscillator(clock, self._oscillator_ppm(self._drift_ppm))
 
     def power_cycle(self) -> None:
-        """Restart all numbers at 0, but keep the device's clock."""
+        """Switch it off and on: its counters restart at 0, its clock goes on."""
         self.step_clock(round(1000 * self._oscillator.now()))
         self.power_on(self._oscillator.clock)
         self._begin_measuring()
