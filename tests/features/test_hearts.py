@@ -150,6 +150,27 @@ def test_a_rate_without_its_pauses_is_not_called_good(
     assert told.is_good.any() or bpm < 60
 
 
+@pytest.mark.parametrize("apex_s", [0.0, 0.15])
+@pytest.mark.parametrize("missed", [1, 2, 3])
+def test_a_first_interval_that_hides_beats_makes_no_good_rate_wrong(
+    missed: int, apex_s: float
+) -> None:
+    class Clear:
+        def worst(self, begin_s: float, end_s: float) -> float:
+            return 1.0
+
+    heart = Heart(Clear())
+    # Two stamps are off, so that the rhythm seems to be irregular.
+    times = np.arange(0.0, 40.0, 0.6) + np.where(np.isin(np.arange(67), (5, 7)), apex_s, 0.0)
+    told = [each for t in (times[0], *times[1 + missed :]) for each in heart.beat(t)]
+    rates = [each.values[0] for each in told if each.feature == "hr_live"]
+    qualities = [each.values[3] for each in told if each.feature == "hr_live_quality"]
+    assert all(
+        abs(rate - 100) < 5 for rate, each in zip(rates, qualities, strict=True) if each > 0.5
+    )
+    assert qualities[-1] == 1.0
+
+
 def test_two_pulses_in_a_row_that_are_missed_are_no_slower_heart() -> None:
     heart = Heart()
     # The second long interval is like the one before it.

@@ -63,6 +63,7 @@ class _Interval(NamedTuple):
     length_s: float
     is_valid: bool
     hides_beat: bool | None
+    is_usable: bool = True
 
 
 class Trust(Protocol):
@@ -90,6 +91,7 @@ class Heart:
         self._kept: deque[_Interval] = deque()
         self._begin: float | None = None
         self._stamp = self._before = NOTHING
+        self._is_first = False
 
     def beat(
         self, stamp: float, interval_s: float | None = None, *, hides_beat: bool | None = False
@@ -115,6 +117,10 @@ class Heart:
         if self._begin is None:
             self._begin = stamp - interval_s
         wrong = bool(hides_beat) or is_artefact(interval_s, self._before)
+        if wrong and self._is_first:
+            # Nothing came before the last one to judge it by, and they differ: either may be wrong.
+            self._kept[-1] = self._kept[-1]._replace(is_valid=False, is_usable=False)
+        self._is_first = math.isnan(self._before)
         self._before = interval_s
         self._kept.append(_Interval(stamp, interval_s, not wrong, hides_beat))
         while self._kept[0].stamp <= stamp - max(at.HRV_WINDOWS_S):
@@ -128,6 +134,7 @@ class Heart:
         # nothing is dropped: hr_live_quality says how few are left
         self._kept = deque(each for each in self._kept if each.stamp <= since)
         self._before = NOTHING
+        self._is_first = False
 
     def _quality(self, window_s: float) -> float:
         """Return the signal's quality in a window that ends now; NaN if unknown."""
@@ -148,7 +155,8 @@ class Heart:
             # Either the rhythm is irregular, and the valid intervals would be a biased choice; or
             # the signal is bad, and none can be used.
             is_good = self._trust is None or quality >= at.GOOD_QUALITY
-            taken = [each for each in last if is_good and low <= each.length_s <= high]
+            usable = [each for each in last if is_good and each.is_usable]
+            taken = [each for each in usable if low <= each.length_s <= high]
         if len(taken) < at.HR_LEAST:
             return []  # nothing is dropped: hr_live_quality says how few there are
         rate = _rate_of(taken)
