@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-import time
 from pathlib import Path
 
 import pytest
@@ -250,11 +249,11 @@ def test_a_file_that_rests_is_said(written: Written) -> None:
 def test_that_a_file_rests_is_said_at_the_first_look_too(
     tmp_path: Path, began_s_ago: float, written_s_ago: float, codes: list[str]
 ) -> None:
-    file, now = tmp_path / "a.xdf", time.time()
+    file, now = tmp_path / "a.xdf", 1.8e9
     ten_seconds = data(1, *[101.0 + at / 10 for at in range(100)])
     file.write_bytes(HEAD + ten_seconds + offset(1, 111.0) + data(1, 111.0) * 10_000)
     os.utime(file, (now - written_s_ago, now - written_s_ago))
-    growth = Growth(file, began=now - began_s_ago)
+    growth = Growth(file, lambda: 0.0, now - began_s_ago, lambda: now)
     growth.look()
     assert [each.code for each in growth.problems() if each.code != "missing"] == codes
     # It is watched from now on.

@@ -411,6 +411,8 @@ class Growth:
     began
         Unix time at which the recording began, to find out at the first look for how long the file
         had not grown before; None if it is watched from its start.
+    unix_time
+        The clock of files.
     """
 
     def __init__(
@@ -418,8 +420,10 @@ class Growth:
         file: Path,
         clock: Callable[[], float] = time.monotonic,
         began: float | None = None,
+        unix_time: Callable[[], float] = time.time,
     ) -> None:
         self._file, self._clock, self._began = file, clock, began
+        self._unix_time = unix_time
         self._growing = GrowingFile(file, self._take)
         self._streams: dict[int, _StreamReader] = {}
         self._first: float | None = None
@@ -453,7 +457,7 @@ class Growth:
         began, self._began = self._began, None
         if began is None:
             return 0.0
-        now = time.time()
+        now = self._unix_time()
         with suppress(OSError):
             # Either alone may be wrong: a file server has its own clock, and computers sleep.
             unchanged_s = now - self._file.stat().st_mtime
