@@ -21,8 +21,8 @@ _made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []
 def watch_outlets() -> None:
     """Note every outlet that is made from now on, and end those of tests at rest, as ours are."""
     make, destroy = pylsl.StreamOutlet.__init__, pylsl.StreamOutlet.__del__
-    # Not the one that is watched: in a run of all tiers, one that an earlier test left in a cycle may
-    # end during a unit test.
+    # Not the one that is watched: in a run of all tiers, an outlet that an earlier test left in a
+    # cycle may end during a unit test.
     sleep = inspect.unwrap(time.sleep)
 
     def noting(
