@@ -7,10 +7,13 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from biosensor_common.errors import ConfigError
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.captures import recorder
 from biosensor_gateway.captures.draft import AGREED, Draft
 from biosensor_gateway.captures.file import ENDING, Capture, packed, read
@@ -18,6 +21,7 @@ from biosensor_gateway.captures.recorder import Taken
 from biosensor_gateway.captures.redaction import Replaced
 from biosensor_gateway.cli import capture as command
 from biosensor_gateway.cli.app import app
+from biosensor_gateway.doctor import device_test
 from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.settings.models import DeviceSettings
 from tests.rigs.kept_logging import kept_logging
@@ -106,6 +110,112 @@ def test_what_was_not_searched_for_is_not_said_to_be(
 ) -> None:
     replaced = [Replaced("serial number", secret, secret[::-1], 1)]
     assert told in Draft(Taken(device, replaced, DeviceTest())).lines[-1]
+
+
+def test_a_place_that_cannot_be_is_told_before_the_device_is_worn(
+    typed: list[str], run: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there").write_bytes(b"theirs")
+    for place, why in (("there", "already exists"), ("no/folder", "there is no folder no")):
+        typed[:] = ["yes"]
+        with pytest.raises(ConfigError, match=why):
+            app()([*CAPTURE, "--output", place], standalone_mode=False)
+        assert typed == ["yes"]
+    assert "Connecting" not in capsys.readouterr().out
+
+
+def test_what_cannot_be_saved_here_is_saved_elsewhere(
+    typed: list[str], run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The folder is gone when it is saved.
+    (tmp_path / "stick").mkdir()
+    (tmp_path / "disk").mkdir()
+
+    def answer(question: str) -> str:
+        if question.startswith("Type yes"):
+            (tmp_path / "stick").rmdir()
+        return typed.pop()
+
+    monkeypatch.setattr("builtins.input", answer)
+    typed[:] = ["disk", "as usual", "yes"]
+    assert run(*CAPTURE, "--output", "stick/mine.capture.gz") == 0
+    (file,) = (tmp_path / "disk").iterdir()
+    assert read(file).header.note == "as usual"
+    (tmp_path / "stick").mkdir()
+    typed[:] = ["", "", "yes"]
+    assert run(*CAPTURE, "--output", "stick/mine.capture.gz") == 1
+
+
+def test_a_full_disk_leaves_no_half_of_a_file(
+    device: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / f"mine{ENDING}"
+    opened = Path.open
+
+    def full(path: Path, mode: str) -> Any:
+        with opened(path, mode) as made:
+            made.write(b"half")
+        return opened(Path("/dev/full"), "wb", 0)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(ConfigError, match="No space left on device"):
+        Draft(Taken(device, [], DeviceTest())).save(file)
+    assert not file.exists()
+
+
+def test_a_note_names_nothing_that_was_replaced(device: Capture, tmp_path: Path) -> None:
+    replaced = [Replaced("serial number", "A1B2C3D4", "A7F0C2E4", 1)]
+    draft = Draft(Taken(device, replaced, DeviceTest()))
+    file = draft.save(tmp_path, "a1b2c3d4 (A1B2C3D4) stops")
+    assert read(file).header.note == "A7F0C2E4 (A7F0C2E4) stops"
+
+
+def test_who_interrupts_is_told_that_nothing_was_saved(
+    typed: list[str],
+    run: Command,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted(_question: str) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("builtins.input", interrupted)
+    monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *CAPTURE])
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        app()()
+    assert "Nothing was saved." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [CAPTURE, ("test", "zephyr", "--settings", "settings.toml")])
+@pytest.mark.parametrize(
+    ("state", "is_virtual", "is_refused"),
+    [(State.STREAMING, False, True), (State.STREAMING, True, False), (State.BACKOFF, False, False)],
+)
+def test_a_device_that_the_agent_streams_is_not_taken_from_it(
+    typed: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: tuple[str, ...],
+    state: State,
+    is_virtual: bool,
+    is_refused: bool,
+) -> None:
+    own = {"sensor": "zephyr", "unit": "U1", "state": state.value}
+
+    def status(_folder: Path) -> dict[str, Any]:
+        return {"devices": [own], "virtual": is_virtual}
+
+    async def no_test(*_: object) -> DeviceTest:
+        return DeviceTest()
+
+    monkeypatch.setattr(status_file, "running_status", status)
+    monkeypatch.setattr(device_test, "run_device_test", no_test)
+    typed[:] = ["no"]
+    told = ""
+    try:
+        app()([*command], standalone_mode=False)
+    except ConfigError as error:
+        told = str(error)
+    assert ("the agent is using zephyr U1" in told) == is_refused
 
 
 def test_no_saves_nothing(typed: list[str], run: Command, tmp_path: Path) -> None:

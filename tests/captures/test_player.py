@@ -13,6 +13,7 @@ from bleak.uuids import normalize_uuid_16
 from biosensor_gateway.captures.file import Advertised, Event
 from biosensor_gateway.captures.player import HOLD_S, LinkPlayer
 from biosensor_gateway.captures.redaction import Redaction
+from biosensor_gateway.devices.line_sensor import driver as line_sensor
 from biosensor_gateway.system.clock import LeapingClock
 from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import CANCELLED, What
@@ -279,6 +280,80 @@ def test_a_name_with_escaped_letters_is_replaced_and_stays_json() -> None:
     name = json.loads(event.bytes)["name"]
     assert len(name) == len('J\u00fcrgen "Joe" M\u00fcller')
     assert not {"rgen", "Joe", "ller"} & set(re.findall(r"[A-Za-z]+", name))
+
+
+# As json.dumps writes it, which escapes each letter that is not ASCII, and as it is.
+NAMES = (
+    "\u0417\u043e\u044f",
+    "\u738b\u5c0f\u660e",
+    "Zo\u00eb",
+    "\U00020bb7\u91ce",
+    "M\u00fcller " * 20,
+)
+
+
+@pytest.mark.parametrize("is_escaped", [True, False])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_in_any_script_is_replaced_and_stays_json(name: str, is_escaped: bool) -> None:
+    told = json.dumps({"name": name, "x": 1}, ensure_ascii=is_escaped).encode()
+    (event,) = redacted(came(told), patterns=line_sensor.IDENTIFIERS)
+    other = json.loads(event.bytes)["name"]
+    assert len(event.bytes) == len(told)
+    assert [
+        each for each in zip(name.split(), other.split(), strict=True) if len(set(each)) < 2
+    ] == []
+
+
+def test_a_letter_of_another_script_does_not_lead_back() -> None:
+    advertised = (redacted(opening("\u738b"))[0].seen for _ in range(8))
+    names = {each.name for each in advertised if each is not None}
+    assert "\u738b" not in names
+    assert len(names) > 4
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        b"Bob\0",
+        b"Bob's H10\0\0",
+        b" Bob ",
+        b"Zo\xeb\0",
+        "Zo\u00eb".encode() + b"\0",
+        b"\xff\xfeBob",
+    ],
+)
+def test_a_short_name_is_replaced_whatever_is_around_it(told: bytes) -> None:
+    at = normalize_uuid_16(0x2A00)
+    (event,) = redacted(Event(t=0.0, link=0, what=What.READ, at=at, data=told.hex()))
+    assert len(event.bytes) == len(told)
+    assert b"Bob" not in event.bytes
+    assert event.bytes.strip(b"\0 ") != told.strip(b"\0 ")
+
+
+def test_a_serial_number_that_is_no_text_is_replaced() -> None:
+    told = bytes.fromhex("fffe0102c3")
+    at = normalize_uuid_16(0x2A25)
+    (event,) = redacted(Event(t=0.0, link=0, what=What.READ, at=at, data=told.hex()))
+    assert event.bytes != told
+    assert len(event.bytes) == len(told)
+
+
+def test_a_word_by_which_a_device_is_recognised_stays_where_it_is_read() -> None:
+    at = normalize_uuid_16(0x2A00)
+    read = Event(t=1.0, link=0, what=What.READ, at=at, data=b"Acme A1 12AB34CD".hex())
+    redaction = Redaction(is_acme, ())
+    first, second = redaction.of([opening("Acme A1 12AB34CD"), read], ())
+    assert first.seen is not None
+    assert second.bytes == first.seen.name.encode()
+    assert redaction.left_in([first, second], "") == []
+
+
+def test_the_initial_of_a_name_goes() -> None:
+    pattern = re.compile(rb'"name":"([^"]+)"')
+    initials = {
+        redacted(came(b'{"name":"Renate"}'), patterns=(pattern,))[0].bytes[9] for _ in range(8)
+    }
+    assert len(initials) > 1
 
 
 def test_samples_stay_as_they_are() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 UV = ROOT / ".uv" / "bin" / "uv"
+PROGRAM = "biosensor-gateway"
 LOCK = ROOT / "requirements" / "gateway.txt"
 
 
@@ -65,9 +66,9 @@ class Installed:
     def _install(self, *what: str | Path) -> None:
         uv("pip", "install", "--quiet", "--python", self._environment / "bin" / "python", *what)
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
+    def start(self, *arguments: str, program: str = PROGRAM) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [self._environment / "bin" / "biosensor-gateway", *arguments],
+            [self._environment / "bin" / program, *arguments],
             cwd=self.folder,
             env=users(self.home),
             stdin=subprocess.DEVNULL,
@@ -76,9 +77,9 @@ class Installed:
             text=True,
         )
 
-    def run(self, *arguments: str, codes: Sequence[int] = (0,)) -> str:
+    def run(self, *arguments: str, codes: Sequence[int] = (0,), program: str = PROGRAM) -> str:
         """Run a command to its end; return what it has said."""
-        process = self.start(*arguments)
+        process = self.start(*arguments, program=program)
         said, _ = process.communicate(timeout=170)
         assert "Traceback" not in said, said
         assert process.returncode in codes, said

@@ -19,6 +19,7 @@ from tests.wheel.conftest import ROOT, UV, Installed, build, users, uv
 
 PEERS = ROOT / ".venv-peers/bin/python"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+HERE = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
 @pytest.mark.nightly
@@ -54,16 +55,30 @@ def _content(wheel: Path) -> dict[str, int]:
         return {each.filename: each.CRC for each in archive.infolist()}
 
 
-@pytest.mark.nightly
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize(
+    "python",
+    [
+        pytest.param(HERE, marks=pytest.mark.seam),
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in PYTHONS if each != HERE),
+    ],
+)
 def test_it_streams_records_exports_and_checks_itself(
     tmp_path: Path, wheel: Path, python: str
 ) -> None:
     installed = Installed(tmp_path, wheel, _require(python))
     assert re.fullmatch(r"biosensor-gateway \d\S+\n", installed.run("--version"))
     said = installed.run("try", "--no-open", "--seconds", "20")
+    assert "http://127.0.0.1:" in said
+    assert "3 sensors stream." in said
     assert re.search(r"^(green|amber): ", said, re.MULTILINE), said
+    kept = tmp_path / "biosensor-gateway-try"
+    assert len([*kept.glob("*.xdf")]) == 1
+    assert len([*kept.glob("*_csv/*.csv")]) > 10
+    # Nothing else stays.
+    assert [*installed.home.iterdir()] == []
+    for node in ("lsl_to_ros", "ros_to_lsl"):
+        assert installed.run(program=node, codes=(1,)).startswith(f"{node}: ROS 2 is missing, ")
     # What it finds is this computer's; that it looked is the wheel's.
     assert "liblsl" in installed.run("doctor", codes=(0, 1))
     agent = installed.start("run", "--simulate", "polar_h10,shimmer3_gsr")
@@ -80,6 +95,8 @@ def test_it_streams_records_exports_and_checks_itself(
 
 
 def _require(python: str) -> str:
+    if python == HERE:
+        return sys.executable
     found = subprocess.run(
         [UV, "python", "find", "--system", "--no-python-downloads", python],
         capture_output=True,
@@ -168,20 +185,6 @@ def _source_of(version: str, folder: Path) -> Path:
 def _files(folder: Path) -> dict[str, bytes]:
     files = [each for each in folder.rglob("*") if each.is_file()]
     return {str(each.relative_to(folder)): each.read_bytes() for each in files}
-
-
-@pytest.mark.seam
-def test_it_shows_itself_without_hardware_and_without_ros(tmp_path: Path, wheel: Path) -> None:
-    installed = Installed(tmp_path, wheel)
-    said = installed.run("try", "--no-open", "--seconds", "3")
-    assert "http://127.0.0.1:" in said
-    assert "3 sensors stream." in said
-    assert "Recording for 3 s" in said
-    kept = tmp_path / "biosensor-gateway-try"
-    assert len([*kept.glob("*.xdf")]) == 1
-    assert len([*kept.glob("*_csv/*.csv")]) > 10
-    # Nothing else stays.
-    assert [*installed.home.iterdir()] == []
 
 
 WORKFLOW = ROOT / ".github" / "workflows" / "unit.yml"

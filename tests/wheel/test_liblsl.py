@@ -96,8 +96,10 @@ def test_where_pylsl_has_none_it_is_found_without_a_step_by_hand(
     assert libraries
     for each in libraries:
         each.unlink()
-    refused = installed.run("run", "--simulate", "polar_h10", codes=(1,))
-    assert refused.startswith("biosensor-gateway: liblsl, the library")
+    for command in (("run", "--simulate", "polar_h10"), ("scan",), ("record", "start")):
+        refused = installed.run(*command, codes=(1,))
+        assert refused.startswith("biosensor-gateway: liblsl, the library")
+        assert refused.count("\n") == 1
     installed.upgrade(wheels["x86_64"])
     assert f"{PACKAGE}/liblsl.so" in installed.run("doctor", codes=(0, 1))
     said = installed.run("try", "--no-open", "--seconds", "3")

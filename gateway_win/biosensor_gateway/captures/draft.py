@@ -21,7 +21,7 @@ from typing import NamedTuple
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.captures.file import ENDING, Capture, packed
 from biosensor_gateway.captures.recorder import Taken, take
-from biosensor_gateway.captures.redaction import LEAST_SEARCHED
+from biosensor_gateway.captures.redaction import LEAST_SEARCHED, is_searched
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.tap import Tap
@@ -80,28 +80,58 @@ class Draft:
         path
             A new file, or an existing folder.
         note
-            Observations, without names; cut after `MOST_NOTE`.
+            Observations, without names; cut after `MOST_NOTE`. What was replaced in the data is
+            replaced here, too.
 
         Raises
         ------
         ConfigError
-            ``EXISTS`` if the file exists; ``UNREADABLE`` if it cannot be written.
+            As `refuse_place`; ``UNREADABLE`` if it cannot be written.
         """
+        for each in self._taken.replaced:
+            if is_searched(each.secret):
+                parts = re.split(re.escape(each.secret), note, flags=re.IGNORECASE)
+                note = each.pseudonym.join(parts)
         update = {"consent": AGREED, "note": note[:MOST_NOTE], "source": self._source}
         capture = self._taken.capture
         header = capture.header.model_copy(update=update)
         content = packed(capture.model_copy(update={"header": header}))
         file = path / file_name(capture) if path.is_dir() else path
+        refuse_place(file)
         try:
             with file.open("xb") as opened:
                 opened.write(content)
-        except FileExistsError as error:
-            message = f"{file} already exists; choose another name"
-            raise ConfigError(ConfigReason.EXISTS, message) from error
+        except FileExistsError as error:  # nothing is dropped: the draft is kept
+            raise _taken_name(file) from error
         except OSError as error:
+            # Half of a capture is none, and its name would be taken.
+            # nothing is dropped: the draft is kept
+            with suppress(OSError):
+                file.unlink()
             message = f"{file} cannot be written ({error.strerror}); choose another place"
             raise ConfigError(ConfigReason.UNREADABLE, message) from error
         return file.resolve()
+
+
+def refuse_place(path: Path) -> None:
+    """Refuse a place at which no capture can be saved, before anybody has worn the device for it.
+
+    Raises
+    ------
+    ConfigError
+        ``EXISTS`` if it is a file; ``NOT_FOUND`` if its folder does not exist.
+    """
+    if path.is_dir():
+        return  # nothing is dropped: it gets a new name there
+    if path.exists():
+        raise _taken_name(path)
+    if not path.parent.is_dir():
+        message = f"there is no folder {path.parent}; make it, or choose another place"
+        raise ConfigError(ConfigReason.NOT_FOUND, message)
+
+
+def _taken_name(path: Path) -> ConfigError:
+    return ConfigError(ConfigReason.EXISTS, f"{path} already exists; choose another name")
 
 
 def file_name(capture: Capture) -> str:
@@ -151,9 +181,9 @@ def _replaced(taken: Taken) -> Iterator[str]:
             yield f"    a secret of {len(each.secret)} characters{found}"
         else:
             yield f"    {each.kind}: {_short(each.secret)} became {_short(each.pseudonym)}{found}"
-    if any(len(each.secret) < LEAST_SEARCHED for each in taken.replaced):
+    if not all(is_searched(each.secret) for each in taken.replaced):
         yield (
-            f"The file was searched for those of {LEAST_SEARCHED} or more characters: none is "
+            f"The file was searched for those of {LEAST_SEARCHED} or more bytes: none is "
             "left. Shorter ones were replaced only where the device says what they are."
         )
     elif taken.replaced:

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, cast, get_args, get_origin
 from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.captures.file import Advertised, Capture, Event, Header, Row
-from biosensor_gateway.captures.redaction import LEAST_SEARCHED, Redaction, Replaced, is_address
+from biosensor_gateway.captures.redaction import Redaction, Replaced, is_address, is_searched
 from biosensor_gateway.devices.registry import declaration, declaration_names, driver
 from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
 from biosensor_gateway.settings.models import DeviceSettings
@@ -223,9 +223,7 @@ def _own_words(kept: Mapping[str, Any]) -> list[str]:
             told = (stream.data_name, stream.content_type, *(e.label for e in stream.channels))
             units = (each.unit for each in stream.channels)
             usual |= {word.lower() for each in (*told, *units) for word in _WORD.findall(each)}
-    return sorted(
-        each for each in words if len(each) >= LEAST_SEARCHED and each.lower() not in usual
-    )
+    return sorted(each for each in words if is_searched(each) and each.lower() not in usual)
 
 
 def _system() -> str:

@@ -7,11 +7,14 @@ pseudonym throughout a capture, and another one in the next capture.
 
 from __future__ import annotations
 
+import json
 import re
 import secrets
 import string
+import unicodedata
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -22,21 +25,22 @@ from biosensor_gateway.transports.nearby import Advertisement
 from biosensor_gateway.transports.tap import What
 
 LEAST_SEARCHED = 4
-"""Length of the shortest text that is searched for; shorter ones would match samples by chance."""
+"""Bytes of the shortest text that is searched for; shorter ones would match samples by chance."""
 _HEADERS = 4
 """Number of header lengths, from 0, that are tried for texts that continue in the next packet."""
 _TRIES = 20_000
 _LEAST_SUMMED = 6
-_ADDRESS_BYTES = 6
 _ADDRESS_TEXT = re.compile(rb"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
 _ADDRESS = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]?){5}[0-9A-Fa-f]{2}")
 _WORD = re.compile(r"[^\W_]+")
-_ESCAPE = re.compile(r"(\\(?:u[0-9A-Fa-f]{4}|.))")
-"""A character as JSON may spell it, which stays, because another one may be no JSON."""
+_ESCAPE = re.compile(r"(\\u[Dd][89ABab]..\\u[Dd][C-Fc-f]..|\\u[0-9A-Fa-f]{4}|\\.)")
+"""A character as JSON may spell it: two halves, a number, or a sign."""
 _HEX = frozenset(string.hexdigits)
 _NAME, _SYSTEM_ID, _SERIAL = map(normalize_uuid_16, (0x2A00, 0x2A23, 0x2A25))
 _LETTERS = (string.digits, string.ascii_uppercase, string.ascii_lowercase)
 _HEX_LETTERS = (string.digits, "ABCDEF", "abcdef")
+_CODES = {2: range(0x80, 0x800), 3: range(0x800, 0x10000), 4: range(0x10000, 0x32000)}
+"""Characters with so many bytes in UTF-8; beyond are no letters."""
 
 
 class Replaced(NamedTuple):
@@ -58,7 +62,8 @@ class Redaction:
         Whether an advertisement would still be recognized as such a device; what that needs is
         not replaced.
     patterns
-        Match identifiers in payloads of this sensor, as the first group of each.
+        Match identifiers in payloads of this sensor, as the first group of each. A group with the
+        name ``secret`` is never shown; one with the name ``address`` is six bytes, not text.
     """
 
     def __init__(
@@ -68,6 +73,8 @@ class Redaction:
         self._patterns = (*patterns, _ADDRESS_TEXT)
         self._pseudonyms: dict[str, tuple[str, str]] = {}
         self._counts: dict[str, int] = {}
+        # Words of advertised names by which devices are recognised.
+        self._kept: set[str] = set()
 
     @property
     def replaced(self) -> list[Replaced]:
@@ -141,7 +148,7 @@ class Redaction:
     def text(self, text: str) -> str:
         """Return a text with pseudonyms for everything that is known so far."""
         for secret in sorted(self._pseudonyms, key=len, reverse=True):
-            if len(secret) >= LEAST_SEARCHED:
+            if is_searched(secret):
                 text = text.replace(secret, self._pseudonyms[secret][1])
         return text
 
@@ -152,19 +159,20 @@ class Redaction:
         if event.what is not What.READ or event.at not in (_NAME, _SYSTEM_ID, _SERIAL):
             return event
         content = event.bytes
-        if event.at == _SYSTEM_ID:
-            return event.model_copy(update={"data": secrets.token_hex(len(content))})
-        text = content.decode("utf-8", "replace").strip("\0 ")
-        if text and event.at == _SERIAL:
+        told = content.strip(b"\0 ")
+        text, encoding = _decoded(told)
+        if event.at == _SYSTEM_ID or not text:
+            # Other bytes than text are not searched for; padding alone says nothing.
+            data = secrets.token_bytes(len(content)) if told else content
+        elif event.at == _NAME:
+            replaced = self._name(text, Advertisement(""))
+            data = content.replace(told, replaced.encode(encoding))
+        else:
+            # Longer ones are replaced wherever they are.
             pseudonym = self._pseudonym("serial number", text)
-            if len(text) < LEAST_SEARCHED:
-                data = content.replace(text.encode(), pseudonym.encode())
-                return event.model_copy(update={"data": data.hex()})
-        elif text:
-            replaced = self._name(text, Advertisement("")).encode()
-            data = replaced if len(replaced) == len(content) else content
-            return event.model_copy(update={"data": data.hex()})
-        return event
+            is_short = not is_searched(text)
+            data = content.replace(told, pseudonym.encode(encoding)) if is_short else content
+        return event.model_copy(update={"data": data.hex()})
 
     def _advertised(self, seen: Advertised) -> Advertised:
         original = _advertisement(seen)
@@ -184,7 +192,7 @@ class Redaction:
         """Replace each word of a name that is not needed to recognize the device."""
         is_known = self._recognises(seen)
         kept = set(_WORD.findall(seen.name if is_known else ""))
-        for word in sorted(set(_WORD.findall(name)), key=len, reverse=True):
+        for word in sorted(set(_WORD.findall(name)) - self._kept, key=len, reverse=True):
             pseudonym = self._pseudonyms.get(word, ("", _like(word)))[1]
             trial = _with_word(name, word, pseudonym)
             fits = self._recognises(
@@ -194,6 +202,7 @@ class Redaction:
                 name = trial
                 self._pseudonyms.setdefault(word, ("name", pseudonym))
                 kept.discard(word)
+        self._kept |= kept
         return name
 
     def _own_part(self, secret: str) -> str:
@@ -207,8 +216,12 @@ class Redaction:
     def _pseudonym(self, kind: str, secret: str) -> str:
         known = self._pseudonyms.get(secret)
         if known is None:
-            # The first character of a serial number often identifies the model for drivers.
-            is_number = kind in ("serial number", "identifier") and len(secret) >= LEAST_SEARCHED
+            # The first character of a serial number often identifies the model for drivers; that
+            # of a person's name stands for the person.
+            is_number = kind in ("serial number", "identifier") and any(
+                map(str.isdigit, _unescaped(secret))
+            )
+            is_number = is_number and is_searched(secret) and secret[0].isalnum()
             kept = secret[:1] if is_number else ""
             known = self._pseudonyms[secret] = kind, _like(secret, kept)
         return known[1]
@@ -219,7 +232,7 @@ class Redaction:
             text = b"".join(payload[header:] for payload in payloads)
             for pattern in self._patterns:
                 for found in pattern.finditer(text):
-                    secret = _spelt(found[found.re.groups and 1])
+                    secret = _spelt(found)
                     kind = "secret" if "secret" in pattern.groupindex else "identifier"
                     # An identifier of equal characters, such as zeros, identifies nothing.
                     identifies = len(set(_bare(secret))) > 1
@@ -255,15 +268,28 @@ def _advertisement(seen: Advertised) -> Advertisement:
     )
 
 
-def _spelt(found: bytes) -> str:
-    """Return an identifier as text, or an address of six bytes; empty if it is neither.
+def is_searched(secret: str) -> bool:
+    """Whether a text is long enough to be searched for in payloads."""
+    return len(secret.encode()) >= LEAST_SEARCHED
 
-    One with a packet's header in the middle is neither, and is found with another header length.
+
+def _spelt(found: re.Match[bytes]) -> str:
+    """Return an identifier as text; empty if it is none.
+
+    One with a packet's header in the middle is none, and is found with another header length.
     """
-    text = found.decode("ascii", "replace")
-    if text.isprintable() and "\ufffd" not in text:
-        return text
-    return found.hex(":") if len(found) == _ADDRESS_BYTES else ""
+    if "address" in found.re.groupindex:
+        return found["address"].hex(":")
+    return _decoded(found[found.re.groups and 1])[0]
+
+
+def _decoded(content: bytes) -> tuple[str, str]:
+    """Return printable text with its encoding, which old devices do not tell; or an empty one."""
+    for encoding in ("utf-8", "latin-1"):
+        text = content.decode(encoding, "replace")
+        if text.isprintable() and "\ufffd" not in text:
+            return text, encoding
+    return "", ""
 
 
 def _with_word(name: str, word: str, other: str) -> str:
@@ -272,22 +298,29 @@ def _with_word(name: str, word: str, other: str) -> str:
 
 def _forms(secret: str, pseudonym: str) -> Iterator[tuple[bytes, bytes]]:
     """Yield the encodings of a secret in payloads, each with that of its pseudonym."""
-    if len(secret) < LEAST_SEARCHED:
+    if not is_searched(secret):
         # nothing is dropped: a word so short is replaced where it is told
         return
     bare = [_bare(each) for each in (secret, pseudonym)]
     spelt = [(secret, pseudonym)]
     if is_address(secret):
         spelt += [_joined(bare, mark) for mark in ("", ":", "-")]
+    if not secret.isascii():
+        spelt.append((json.dumps(secret)[1:-1], json.dumps(pseudonym)[1:-1]))
+    elif "\\u" in secret:
+        spelt.append((_unescaped(secret), _unescaped(pseudonym)))
     forms = {
-        change(before).encode(): change(after).encode()
+        change(before).encode(encoding, "replace"): change(after).encode(encoding, "replace")
         for before, after in spelt
         for change in (str, str.upper, str.lower)
+        for encoding in ("utf-8", "latin-1")
+        if encoding == "utf-8" or max(before) < "\u0100"
     }
     if is_address(secret):
         before, after = (bytes.fromhex(each) for each in bare)
         forms |= {before: after, before[::-1]: after[::-1]}
-    yield from forms.items()
+    # A few letters become longer as capitals.
+    yield from ((before, after) for before, after in forms.items() if len(before) == len(after))
 
 
 def _bare(address: str) -> str:
@@ -341,15 +374,48 @@ def _address_like(address: str) -> str:
 
 
 def _drawn(piece: str, classes: Sequence[str]) -> str:
-    return piece if piece.startswith("\\") else "".join(_letter(each, classes) for each in piece)
+    if not piece.startswith("\\"):
+        return "".join(_letter(each, classes) for each in piece)
+    if not piece.startswith("\\u"):
+        return piece
+    halves = _letter(_unescaped(piece), classes).encode("utf-16-be", "surrogatepass").hex()
+    return re.sub("....", r"\\u\g<0>", halves)
+
+
+def _unescaped(text: str) -> str:
+    """Return a text without the escapes of JSON that are numbers."""
+    return re.sub(
+        r"(?:\\u[0-9A-Fa-f]{4})+",
+        lambda found: bytes.fromhex(found[0].replace("\\u", "")).decode("utf-16-be", "replace"),
+        text,
+    )
 
 
 def _letter(letter: str, classes: Sequence[str]) -> str:
     letters = next((each for each in classes if letter in each), "")
-    if not letters and letter.isalpha():
-        # A letter of another script is replaced by one with as many bytes.
-        return letter if len(letter.encode()) == 1 else chr(ord(letter) ^ 1)
+    if not letters and not letter.isascii() and letter.isprintable():
+        letters = _kindred(_kind(letter), len(letter.encode()), letter < "\u0100")
     return secrets.choice(letters) if letters else letter
+
+
+@cache
+def _kindred(kind: str, size: int, is_latin_1: bool) -> str:
+    """Return the characters of a kind that have as many bytes, also as capitals."""
+    return "".join(
+        letter
+        for letter in map(chr, _CODES[size])
+        if letter.isprintable()
+        and (letter < "\u0100") == is_latin_1
+        and _kind(letter) == kind
+        and len(letter.upper().encode()) == len(letter.lower().encode()) == size
+    )
+
+
+def _kind(letter: str) -> str:
+    """Return the script of a letter, the category of another character."""
+    if letter.isalpha():
+        return unicodedata.name(letter, "").partition(" ")[0]
+    return unicodedata.category(letter)
 
 
 def _sums(text: str) -> tuple[int, ...]:

@@ -17,6 +17,7 @@ from biosensor_gateway.cli.options import (
     JsonOption,
     SettingsOption,
     chosen_devices,
+    refuse_if_streamed,
     settings_or_defaults,
 )
 from biosensor_gateway.cli.output import ask, can_ask, console, say, table_of_names
@@ -72,26 +73,33 @@ def capture_of(
     if not can_ask():
         message = "a capture needs a person's consent: run it in a terminal"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    from biosensor_gateway.captures.draft import HOW_TO_SEND, Draft  # takes a second, needs liblsl
+    # takes a second, needs liblsl
+    from biosensor_gateway.captures.draft import HOW_TO_SEND, Draft, refuse_place
     from biosensor_gateway.captures.recorder import take
     from biosensor_gateway.doctor.device_test import chosen_device
 
     configure_logs(LogSettings(level="error"), None)
-    with chosen_devices(settings, sensor if simulate else "") as configured:
-        device = chosen_device(sensor, unit, configured)
-        say(f"Connecting, then {seconds:g} s are captured. The device should be worn.")
-        taken = asyncio.run(take(device, seconds))
-    draft = Draft(taken, "a virtual device" if simulate else "")
-    typer.echo()
-    for line in draft.lines:
-        say(line, hang=4)
-    for problem in draft.problems:
-        say(f"! {problem}")
-    if not _is_agreed(draft):
+    refuse_place(output or Path())
+    try:
+        with chosen_devices(settings, sensor if simulate else "") as configured:
+            device = chosen_device(sensor, unit, configured)
+            if not simulate:
+                refuse_if_streamed(device)
+            say(f"Connecting, then {seconds:g} s are captured. The device should be worn.")
+            taken = asyncio.run(take(device, seconds))
+        draft = Draft(taken, "a virtual device" if simulate else "")
+        typer.echo()
+        for line in draft.lines:
+            say(line, hang=4)
+        for problem in draft.problems:
+            say(f"! {problem}")
+        path = _saved(draft, output or Path()) if _is_agreed(draft) else None
+    except KeyboardInterrupt:
+        say("Nothing was saved.")
+        raise
+    if path is None:
         say("Nothing was saved.")
         raise typer.Exit(1)
-    note = ask("What did you see? One line without names, or Enter:", str)
-    path = draft.save(output or Path(), note)
     say(f"Saved: {path} ({path.stat().st_size / 1024:.0f} KB). Nothing was sent.")
     say(HOW_TO_SEND)
 
@@ -148,6 +156,20 @@ def _is_agreed(draft: Draft) -> bool:
             return answer.casefold() == "yes"
         for line in draft.whole() if answer.casefold() == "show" else ():
             typer.echo(line)
+
+
+def _saved(draft: Draft, path: Path) -> Path | None:
+    """Ask for a note and save; where that fails, ask for another place. None if there is none."""
+    note = ask("What did you see? One line without names, or Enter:", str)
+    while True:
+        try:
+            return draft.save(path, note)
+        except ConfigError as error:
+            say(f"! {error}")
+        answer = ask("Where instead? A file or a folder, or Enter to throw it away:", str)
+        if not answer:
+            return None
+        path = Path(answer).expanduser()
 
 
 def _each(files: Sequence[Path]) -> Iterator[Path]:

@@ -14,7 +14,13 @@ from rich.table import Table
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import Unit
-from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption, chosen_devices
+from biosensor_gateway.cli.options import (
+    JsonOption,
+    SettingsOption,
+    SimulateOption,
+    chosen_devices,
+    refuse_if_streamed,
+)
 from biosensor_gateway.cli.output import can_ask, console, menu, say, several
 from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search
@@ -41,6 +47,8 @@ def test(
     configure_logs(LogSettings(level="error"), None)
     with chosen_devices(settings, sensor if simulate else "") as configured:
         device = device_test.chosen_device(sensor, unit, configured)
+        if not simulate:
+            refuse_if_streamed(device)
         outcome = asyncio.run(device_test.run_device_test(device, seconds))
     if as_json:
         typer.echo(json.dumps(device_test.described(outcome).model_dump(), indent=2))

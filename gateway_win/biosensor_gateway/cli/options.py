@@ -129,3 +129,30 @@ def chosen_devices(settings: Path | None, simulate: str) -> Generator[tuple[Devi
         yield ()
     else:
         yield loaded.devices
+
+
+def refuse_if_streamed(device: DeviceSettings) -> None:
+    """Refuse a device that the running agent streams: at the end it would be told to stop.
+
+    Raises
+    ------
+    ConfigError
+        ``IN_USE``.
+    """
+    from biosensor_gateway.agent.device_states import State
+    from biosensor_gateway.agent.status_file import running_status
+    from biosensor_gateway.settings.places import state_folder
+
+    try:
+        status = running_status(state_folder())
+    except ConfigError:
+        # No agent runs, so none has it.
+        return
+    which = device.sensor_name, device.unit, State.STREAMING.value
+    streamed = {(each["sensor"], each["unit"], each["state"]) for each in status["devices"]}
+    if which in streamed and not status.get("virtual"):
+        message = (
+            f"the agent is using {device.sensor_name} {device.unit}, and most devices accept only "
+            "one connection; end it with `biosensor-gateway stop`, and start it again afterwards"
+        )
+        raise ConfigError(ConfigReason.IN_USE, message)

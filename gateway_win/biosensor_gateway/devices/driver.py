@@ -171,7 +171,7 @@ class DriverEntry(NamedTuple):
     declare: Callable[[DeviceSettings], SensorSpec] | None = None
     # Patterns of identifiers in payloads, besides address, name and serial number of `Connected`:
     # the first group is replaced before data are shared. A group named `secret` is not even
-    # displayed.
+    # displayed; one named `address` is six bytes, not text.
     identifiers: tuple[re.Pattern[bytes], ...] = ()
     # Text settings that only describe the data format, so they may be shared.
     forms: frozenset[str] = frozenset()

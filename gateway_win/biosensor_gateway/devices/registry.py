@@ -14,6 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules, resolve_name
 
 from biosensor_common.errors import SpecError, SpecReason, did_you_mean
+from biosensor_common.liblsl import what_is_missing
 from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.sensor import Sensor
@@ -122,7 +123,7 @@ def driver(name: str) -> DriverEntry:
         entry: object = resolve_name(place)
     except Exception as error:  # another package's code may raise anything
         message = f"The driver of {name!r}, {place}, cannot be loaded: {error!r}."
-        raise SpecError(SpecReason.INVALID, message) from error
+        raise SpecError(SpecReason.INVALID, what_is_missing(error) or message) from error
     if not isinstance(entry, DriverEntry):
         message = f"The driver of {name!r}, {place}, is not a DriverEntry."
         raise SpecError(SpecReason.INVALID, message)

@@ -15,6 +15,17 @@ from biosensor_common.process_limits import limit_arenas, raise_limit
 _BEGIN, _END = "--ros-args", "--"
 _HELP = ("-h", "--help")
 _OF_ROS = ("-p", "--param", "--params-file", "-r", "--remap")
+_MODULES_OF_ROS = frozenset(
+    {
+        "builtin_interfaces",
+        "diagnostic_msgs",
+        "rcl_interfaces",
+        "rclpy",
+        "rosidl_parser",
+        "sensor_msgs",
+        "std_msgs",
+    }
+)
 _WIDTH, _INDENT = 80, 18
 
 
@@ -33,8 +44,26 @@ def start(program: str, parameters: str, application: str) -> None:
     liblsl.provide(os.environ)
     with liblsl.needed_by(program):
         settle(program, sys.argv[1:], lambda: import_module(parameters).usage())
-        # Imported only now: ROS's libraries start threads at import, and the arenas of these stay.
-        import_module(application).run()
+        try:
+            # Imported only now: ROS's libraries start threads at import, whose arenas stay.
+            module = import_module(application)
+        except ModuleNotFoundError as error:
+            sentence = _without_ros(error)
+            if not sentence:
+                raise
+            sys.stderr.write(f"{program}: {sentence}\n")
+            raise SystemExit(1) from None
+        module.run()
+
+
+def _without_ros(error: ModuleNotFoundError) -> str:
+    """Return a sentence if the missing module is one of ROS, else an empty text."""
+    if (error.name or "").partition(".")[0] not in _MODULES_OF_ROS:
+        return ""
+    return (
+        f"ROS 2 is missing, there is no module {error.name}; source its setup file, as in: source "
+        "/opt/ros/jazzy/setup.bash; or, on Linux x86-64, run: pip install 'biosensor-gateway[ros]'"
+    )
 
 
 def settle(program: str, arguments: Sequence[str], usage: Callable[[], str]) -> None:

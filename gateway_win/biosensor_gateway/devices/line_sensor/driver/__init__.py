@@ -320,7 +320,7 @@ def _texts(key: str, behind: str = "") -> tuple[re.Pattern[bytes], ...]:
     """Return patterns of the texts behind a key of JSON; short ones with their quotation marks."""
     text = r'(?:[^"\\]|\\.)'
     return (
-        re.compile(rf'{key}\s*:\s*"({text}{{4,64}})"{behind}'.encode()),
+        re.compile(rf'{key}\s*:\s*"({text}{{4,}})"{behind}'.encode()),
         re.compile(rf'{key}\s*:\s*("{text}{{2,3}}"){behind}'.encode()),
     )
 
@@ -328,7 +328,7 @@ def _texts(key: str, behind: str = "") -> tuple[re.Pattern[bytes], ...]:
 _WORDS_OF_THE_APP = "method|action|stream|event|sensor_id|type|name"
 _NO_SENSOR = '(?:(?!"sensor_id")[^{}])*'
 IDENTIFIERS = (
-    re.compile(rb'"(?:device_id|serial_number|serial|mac)"\s*:\s*"([^"]{4,64})"'),
+    re.compile(rb'"(?:device_id|serial_number|serial|mac)"\s*:\s*"([^"]{4,})"'),
     *_texts(rf'"(?!(?:{_WORDS_OF_THE_APP})")\w+"(?!\s*:\s*"-?[0-9.]+")'),
     # The sensor is asked for by its name; other names, as the wearable's, are often a person's.
     *_texts(rf'[{{}}]{_NO_SENSOR}?"name"', r'(?![^{}]*"sensor_id")'),

@@ -196,5 +196,5 @@ def identify(seen: Advertisement) -> str | None:
 recognise = by_advertisement("vernier_respiration_belt", identify)
 # The address in the answer with the device information, after order code, serial number, name and
 # date of manufacture.
-IDENTIFIERS = (re.compile(rb"GDX-RB\0{10}.{16}.{32}.{14}(.{6})", re.DOTALL),)
+IDENTIFIERS = (re.compile(rb"GDX-RB\0{10}.{16}.{32}.{14}(?P<address>.{6})", re.DOTALL),)
 DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise, identifiers=IDENTIFIERS)
