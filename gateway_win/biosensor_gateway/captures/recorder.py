@@ -35,6 +35,7 @@ def events_of(tap: Tap) -> list[Event]:
     begin_s = min(times)
     events: list[Event] = []
     for number, (opened_s, seen, table) in enumerate(tap.links):
+        # nothing is dropped: each event belongs to one link
         own = [each for link, each in tap.events if link == number]
         # A thread may read data before the event loop is notified of the link.
         first_s = min([opened_s, *(each.begun_s for each in own)])
