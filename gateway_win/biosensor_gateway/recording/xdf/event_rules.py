@@ -37,21 +37,39 @@ _EDGE_S = 3.0
 def tells_devices(recording: Recording) -> bool:
     """Whether a recording contains an agent's list of devices."""
     events = (each.texts for each in recording.streams if each.header.is_events)
-    return any(_states(each) for each in events)
+    return any(EventLog.of(each, ()).states for each in events)
+
+
+@dataclass(frozen=True, slots=True)
+class _Agent:
+    """One agent in a recording: its events, what they tell, and the streams of its computer."""
+
+    events: Measured
+    own: list[Measured]
+    log: EventLog
+    extent: Extent
+
+    def at(self, stamp: float) -> float:
+        """Convert a time of its events to seconds since the start of the recording."""
+        return self.extent.since_begin(stamp, self.events)
+
+
+def _agents(streams: Sequence[Measured], extent: Extent) -> Iterator[_Agent]:
+    for events in streams:
+        if events.stream.header.is_events:
+            own = [each for each in streams if _is_beside(each, events)]
+            found = (each.stream.header.identity for each in own)
+            recorded = tuple(dict.fromkeys(each for each in found if each is not None))
+            begin_s = -extent.since_begin(0.0, events)
+            log = EventLog.of(events.stream.texts, recorded, begin_s)
+            yield _Agent(events, own, log, extent)
 
 
 def judge_devices(streams: Sequence[Measured], extent: Extent) -> Iterator[Finding]:
     """Report devices of an agent that were not recorded, or not until the end."""
-    for events in streams:
-        if not events.stream.header.is_events:
-            continue
-        own = [each for each in streams if _is_beside(each, events)]
-        yield from _another_agent(events, extent)
-        yield from _left_out(own, events)
-        yield from _removed(own, events, extent)
-        yield from _jumped(own, events, extent)
-        yield from _silent(own, events, extent)
-        yield from _refused(own, events, extent)
+    for agent in _agents(streams, extent):
+        for rule in (_another_agent, _left_out, _removed, _jumped, _silent, _refused):
+            yield from rule(agent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +100,11 @@ def absences(
     without
         source_ids of sensors that the user has excluded.
     """
-    found: list[Absence] = []
-    for events in streams:
-        if events.stream.header.is_events:
-            own = [each for each in streams if _is_beside(each, events)]
-            log = EventLog.of(events.stream.texts, _recorded(own))
-            found += _restarted(log, events, extent)
-            found += _away(log, own, events, extent, without)
-    return found
+    return [
+        absence
+        for agent in _agents(streams, extent)
+        for absence in (*_restarted(agent), *_away(agent, without))
+    ]
 
 
 def consequence(
@@ -135,17 +150,15 @@ def _missing_times(code: str, measured: Measured, extent: Extent) -> Sequence[Ga
     return [Gap(figures.last, early_s, 0)] * (code == "ends-early")
 
 
-def without_pauses(streams: Sequence[Measured]) -> list[Measured]:
+def without_pauses(streams: Sequence[Measured], extent: Extent) -> list[Measured]:
     """Remove the gaps during pauses of the device from each stream's gaps."""
     pauses: dict[str, list[Spell]] = {}
-    for events in streams:
-        if events.stream.header.is_events:
-            own = [each for each in streams if _is_beside(each, events)]
-            spells = EventLog.of(events.stream.texts, _recorded(own)).spells
-            for each in own:
-                identity = each.stream.header.identity
-                of_one = spells.get(identity, []) if identity else []
-                pauses.setdefault(each.stream.header.source_id, []).extend(of_one)
+    for agent in _agents(streams, extent):
+        spells = agent.log.spells
+        for each in agent.own:
+            identity = each.stream.header.identity
+            of_one = spells.get(identity, []) if identity else []
+            pauses.setdefault(each.stream.header.source_id, []).extend(of_one)
     return [_without(each, pauses.get(each.stream.header.source_id, ())) for each in streams]
 
 
@@ -237,19 +250,18 @@ def _is_beside(stream: Measured, events: Measured) -> bool:
     return header.is_of_agent and header.hostname == events.stream.header.hostname
 
 
-def _another_agent(events: Measured, extent: Extent) -> Iterator[Finding]:
+def _another_agent(agent: _Agent) -> Iterator[Finding]:
     """Report that the recorder continued with the stream of another agent."""
-    since_s = EventLog.of(events.stream.texts, ()).other_agent_since()
+    since_s = agent.log.other_agent_since()
     if since_s is not None:
-        text = f"from {extent.since_begin(since_s, events):.1f} s on {OF_ANOTHER_AGENT}"
-        yield Finding(Level.ERROR, "another-agent", events.name, text)
+        text = f"from {agent.at(since_s):.1f} s on {OF_ANOTHER_AGENT}"
+        yield Finding(Level.ERROR, "another-agent", agent.events.name, text)
 
 
-def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
-    recorded = _recorded(own)
-    is_counted = any(each.stream.header.is_counters for each in own)
-    for device, states in _states(events.stream.texts).items():
-        if holders(device, recorded):
+def _left_out(agent: _Agent) -> Iterator[Finding]:
+    is_counted = any(each.stream.header.is_counters for each in agent.own)
+    for device, states in agent.log.states.items():
+        if holders(device, agent.log.recorded):
             continue
         if not CONNECTED & states.keys():
             how = ", ".join(STATE_WORDS.get(each, each) for each in states)
@@ -261,120 +273,94 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
             yield Finding(Level.ERROR, "left-out", "", text)
 
 
-def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
-    recorded = _recorded(own)
-    ended: dict[DeviceIdentity, float] = {}
-    for event in _events(events.stream.texts):
-        identity = _identity(event)
-        if event.get("event") == EventKind.DEVICE_REMOVED and identity in recorded:
-            ended[identity] = _time(event)
-        elif event.get("event") == EventKind.DEVICE_ADDED:
-            # A device added again under the same name is recorded again.
-            ended.pop(identity, None)
-    gone = {**EventLog.of(events.stream.texts, recorded).gone, **ended}
+def _removed(agent: _Agent) -> Iterator[Finding]:
+    gone = {**agent.log.gone, **agent.log.removed}
     for identity, at in sorted(gone.items(), key=lambda each: each[1]):
         text = (
             f"{_named(identity)} was removed or renamed in the settings at "
-            f"{extent.since_begin(at, events):.1f} s, and none of its data was recorded since"
+            f"{agent.at(at):.1f} s, and none of its data was recorded since"
         )
         yield Finding(Level.ERROR, "removed", "", text)
 
 
-def _restarted(log: EventLog, events: Measured, extent: Extent) -> Iterator[Absence]:
+def _restarted(agent: _Agent) -> Iterator[Absence]:
     """Report restarts of the agent, each between two heartbeats."""
-    spells = tuple(log.restarts)
+    spells = tuple(agent.log.restarts)
     if spells:
         said = ", ".join(
-            f"between {extent.since_begin(each.since or 0.0, events):.1f} s and "
-            f"{extent.since_begin(each.until or 0.0, events):.1f} s"
+            f"between {agent.at(each.since or 0.0):.1f} s and {agent.at(each.until or 0.0):.1f} s"
             for each in spells[:_MOST_SPELLS]
         )
-        more = len(spells) - _MOST_SPELLS
-        text = f"the agent was restarted {said}" + (f" and {more} more times" if more > 0 else "")
-        host = events.stream.header.hostname
+        text = f"the agent was restarted {said}{_more(spells)}"
+        host = agent.events.stream.header.hostname
         yield Absence(Finding(Level.WARNING, "restarted", "", text), None, host, spells)
 
 
-def _away(
-    log: EventLog,
-    own: Sequence[Measured],
-    events: Measured,
-    extent: Extent,
-    without: Collection[str],
-) -> Iterator[Absence]:
+def _away(agent: _Agent, without: Collection[str]) -> Iterator[Absence]:
     """Report when each recorded device was paused or not connected."""
-    host = events.stream.header.hostname
-    for device, spells in log.spells.items():
-        streams = [each for each in own if each.stream.header.identity == device]
-        said = _spells_text(spells, lambda at: extent.since_begin(at, events))
-        named = _named(device)
+    host = agent.events.stream.header.hostname
+    for device, spells in agent.log.spells.items():
+        streams = [each for each in agent.own if each.stream.header.identity == device]
+        was = f"{_named(device)} was {_spells_text(spells, agent.at)}"
         # A battery level may have been measured before the recording.
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
-            level, text = Level.WARNING, f"{named} was {said}"
+            finding = Finding(Level.WARNING, "away", "", was)
         elif any(each.stream.header.source_id in without for each in streams):
-            level = Level.WARNING
-            text = f"{named} was {said}, and was left out on purpose: it is not in the recording"
+            text = f"{was}, and was left out on purpose: it is not in the recording"
+            finding = Finding(Level.WARNING, "away", "", text)
         else:
-            level, text = Level.ERROR, f"{named} was {said}, and none of its data was recorded"
-        yield Absence(Finding(level, "away", "", text), device, host, tuple(spells))
+            finding = Finding(Level.ERROR, "away", "", f"{was}, and none of its data was recorded")
+        yield Absence(finding, device, host, tuple(spells))
 
 
-def _jumped(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+def _jumped(agent: _Agent) -> Iterator[Finding]:
     """Report when the timestamps of each recorded device were corrected by a jump."""
-    for device, found in _of_recorded(own, events, EventKind.CLOCK_REANCHORED).items():
+    for device, found in agent.log.noted[EventKind.CLOCK_REANCHORED].items():
         # When a device restarts its clock, no sample is stamped before that is detected.
         sizes = {_time(each): finite(each.get("seconds")) for each in found}
-        known = {at: size for at, size in sizes.items() if size is not None}
+        known = [(at, size) for at, size in sizes.items() if size is not None]
         if known:
-            times = len(known)
             said = ", ".join(
-                f"by {size:+.3f} s at {extent.since_begin(at, events):.1f} s"
-                for at, size in list(known.items())[:_MOST_SPELLS]
+                f"by {size:+.3f} s at {agent.at(at):.1f} s" for at, size in known[:_MOST_SPELLS]
             )
-            more = f" and {times - _MOST_SPELLS} more times" if times > _MOST_SPELLS else ""
             text = (
-                f"the timestamps of {_named(device)} jumped {said}{more}: those just before were "
-                "wrong"
+                f"the timestamps of {_named(device)} jumped {said}{_more(known)}: those just "
+                "before were wrong"
             )
             yield Finding(Level.WARNING, "clock-jumped", "", text)
 
 
-def _silent(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+def _silent(agent: _Agent) -> Iterator[Finding]:
     """Report when expected data of each recorded device did not arrive."""
-    for device, found in _of_recorded(own, events, EventKind.STREAMS_SILENT).items():
+    for device, found in agent.log.noted[EventKind.STREAMS_SILENT].items():
         spans = [each for each in found if _number(each, "seconds") > 0]
         if spans:
             longest = max(spans, key=lambda each: _number(each, "seconds"))
             names = longest.get("streams")
             listed = cast("list[object]", names) if isinstance(names, list) else []
             streams = ", ".join(map(str, listed)) or "data"
-            at = extent.since_begin(_time(longest), events)
             times = "once" if len(spans) == 1 else f"{len(spans)} times"
             text = (
                 f"{_named(device)} was connected and sent nothing {times}, for {streams} "
-                f"{_number(longest, 'seconds'):.1f} s until {at:.1f} s: data that came afterwards "
-                "was delayed, or is counted as lost"
+                f"{_number(longest, 'seconds'):.1f} s until {agent.at(_time(longest)):.1f} s: data "
+                "that came afterwards was delayed, or is counted as lost"
             )
             yield Finding(Level.WARNING, "silent", "", text)
 
 
-def _refused(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+def _refused(agent: _Agent) -> Iterator[Finding]:
     """Report what was refused or left out, of each recorded device and of the agent."""
-    recorded = _recorded(own)
-    sentences: dict[str, list[str]] = {_named(each): [] for each in recorded}
-    for event in _events(events.stream.texts):
-        for name, sentence, last_s in _problems(event):
-            # What has passed is told of for some seconds.
-            if extent.since_begin(last_s, events) >= 0:
-                whose = [AGENT] if name == AGENT else map(_named, holders(name, recorded))
-                for each in whose:
-                    sentences.setdefault(each, []).append(sentence)
-    for whose, told in sentences.items():
-        # What is of no device names its stream.
-        about = "" if whose == AGENT else f"{whose}: "
-        for sentence in newest_of_each_kind(told):
+    # What is of no device names its stream.
+    for whose in (*map(_named, agent.log.recorded), ""):
+        about = f"{whose}: " if whose else ""
+        for sentence in agent.log.refused.get(whose, ()):
             yield Finding(Level.WARNING, "refused", "", about + sentence)
+
+
+def _more(several: Sequence[object]) -> str:
+    more = len(several) - _MOST_SPELLS
+    return f" and {more} more times" if more > 0 else ""
 
 
 def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
@@ -391,19 +377,6 @@ def _problems(event: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
                 yield device, str(problem.get("what", "")), last_s
 
 
-def _of_recorded(
-    own: Sequence[Measured], events: Measured, kind: EventKind
-) -> Mapping[DeviceIdentity, list[Mapping[str, Any]]]:
-    """Return the events of one kind for the recorded devices."""
-    recorded = _recorded(own)
-    found: dict[DeviceIdentity, list[Mapping[str, Any]]] = {}
-    for event in _events(events.stream.texts):
-        device = _identity(event)
-        if event.get("event") == kind and device in recorded:
-            found.setdefault(device, []).append(event)
-    return found
-
-
 def _number(event: Mapping[str, Any], name: str) -> float:
     return finite(event.get(name)) or 0.0
 
@@ -412,11 +385,6 @@ def _named(device: DeviceIdentity) -> str:
     """Return the ``sensor/unit`` of a device, with its participant if known."""
     name = device_name(device)
     return f"{name} of {device.participant}" if device.participant else name
-
-
-def _recorded(own: Sequence[Measured]) -> tuple[DeviceIdentity, ...]:
-    found = (each.stream.header.identity for each in own)
-    return tuple(dict.fromkeys(each for each in found if each is not None))
 
 
 class Spell(NamedTuple):
@@ -443,22 +411,39 @@ _MOST_REFUSED = 20
 class EventLog:
     """The state of an agent, as known from its events so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, begin_s: float | None = None) -> None:
+        # Devices of this agent that are recorded.
+        self.recorded: Sequence[DeviceIdentity] = ()
+        # The states of each device by its name, in the order of the heartbeats.
+        self.states: dict[str, dict[str, None]] = {}
+        # Recorded devices that were removed from the settings and not added again, and when.
+        self.removed: dict[DeviceIdentity, float] = {}
+        # Events of some kinds, for the recorded devices.
+        self.noted: dict[EventKind, dict[DeviceIdentity, list[Mapping[str, Any]]]] = {
+            EventKind.CLOCK_REANCHORED: {},
+            EventKind.STREAMS_SILENT: {},
+        }
         self._now: dict[DeviceIdentity, tuple[str, float | None]] = {}
         self._over: dict[DeviceIdentity, list[Spell]] = {}
         self._had: set[DeviceIdentity] = set()
         self._gone: dict[DeviceIdentity, float] = {}
         """Recorded devices that the agent has no longer, as after a restart, and since when."""
         self.refused: dict[str, list[str]] = {}
-        """What was refused or left out since the first event, by device; see `_refused`."""
-        self._first_s: float | None = None
+        """What was refused or left out since the begin, by device; empty for the agent itself."""
+        # On the clock of the events; the first event if it is unknown.
+        self._begin_s = begin_s
         self._agents: list[_AgentRun] = []
         self._clock: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, texts: Iterable[str], recorded: Sequence[DeviceIdentity]) -> EventLog:
+    def of(
+        cls,
+        texts: Iterable[str],
+        recorded: Sequence[DeviceIdentity],
+        begin_s: float | None = None,
+    ) -> EventLog:
         """Return the log of all events of a stream."""
-        log = cls()
+        log = cls(begin_s)
         log.take(texts, recorded)
         return log
 
@@ -470,13 +455,16 @@ class EventLog:
         recorded
             Devices of this agent that are recorded.
         """
+        self.recorded = recorded
         for event in _events(texts):
-            self._first_s = _time(event) if self._first_s is None else self._first_s
+            self._begin_s = _time(event) if self._begin_s is None else self._begin_s
             self._take_spells(event, recorded)
             if event.get("event") == EventKind.HEARTBEAT:
                 self._take_heartbeat(event)
                 self._take_gone(event, recorded)
-                self._take_refused(event, recorded, self._first_s)
+                self._take_refused(event, recorded, self._begin_s)
+            elif (device := _identity(event)) in recorded:
+                self._take_of_device(event, device)
 
     @property
     def spells(self) -> Mapping[DeviceIdentity, list[Spell]]:
@@ -544,13 +532,24 @@ class EventLog:
             if before:
                 self._over.setdefault(device, []).append(Spell(before, since, _time(event)))
 
+    def _take_of_device(self, event: Mapping[str, Any], device: DeviceIdentity) -> None:
+        kind = str(event.get("event"))
+        if kind == EventKind.DEVICE_REMOVED:
+            self.removed[device] = _time(event)
+        elif kind == EventKind.DEVICE_ADDED:
+            # A device added again under the same name is recorded again.
+            self.removed.pop(device, None)
+        elif kind in self.noted:
+            self.noted[EventKind(kind)].setdefault(device, []).append(event)
+
     def _take_gone(self, event: Mapping[str, Any], recorded: Sequence[DeviceIdentity]) -> None:
         devices: object = event.get("devices")
         if not isinstance(devices, dict):
             return
-        here = {
-            each for name in cast("dict[str, object]", devices) for each in holders(name, recorded)
-        }
+        states = cast("dict[str, object]", devices)
+        for name, state in states.items():
+            self.states.setdefault(name, {})[str(state)] = None
+        here = {each for name in states for each in holders(name, recorded)}
         for device in self._had - here:
             self._gone.setdefault(device, _time(event))
         for device in here & self._gone.keys():
@@ -608,8 +607,7 @@ def _ways(
 
 def _spells_text(spells: Sequence[Spell], since_begin: Callable[[float], float]) -> str:
     said = ", ".join(_spell(each, since_begin) for each in spells[:_MOST_SPELLS])
-    more = len(spells) - _MOST_SPELLS
-    return said + (f" and {more} more times" if more > 0 else "")
+    return said + _more(spells)
 
 
 def _spell(spell: Spell, since_begin: Callable[[float], float]) -> str:
@@ -621,17 +619,6 @@ def _spell(spell: Spell, since_begin: Callable[[float], float]) -> str:
     since = "from the start" if spell.since is None else f"from {at(spell.since)}"
     until = "to the end" if spell.until is None else f"to {at(spell.until)}"
     return f"{spell.how} {since} {until}"
-
-
-def _states(texts: Sequence[str]) -> Mapping[str, dict[str, None]]:
-    """Return the states of each device by its name, in the order of the heartbeats."""
-    found: dict[str, dict[str, None]] = {}
-    for event in _events(texts):
-        devices: object = event.get("devices")
-        if event.get("event") == EventKind.HEARTBEAT and isinstance(devices, dict):
-            for device, state in cast("dict[str, object]", devices).items():
-                found.setdefault(device, {})[str(state)] = None
-    return found
 
 
 def _events(texts: Iterable[str]) -> Iterator[Mapping[str, Any]]:

@@ -52,7 +52,7 @@ def judge(
 ) -> Report:
     """Measure every stream of a recording and report what is wrong; see `verdict.check`."""
     streams = [Measured(stream, measure(stream)) for stream in recording.streams]
-    streams, findings = compare_with_agent(without_pauses(streams))
+    streams, findings = compare_with_agent(without_pauses(streams, extent(streams)))
     length = extent(streams)
     away = absences(streams, length, without)
     away += absent_senders(streams, length, away)
