@@ -16,7 +16,7 @@ from std_msgs.msg import Float32MultiArray
 from benchmarks.child import Orders, say
 from benchmarks.samples import CHANNELS, FILLER, values_of
 from biosensor_common.quantities import MessageType
-from lsl_to_ros.topics.pacing import Pace, Pacer
+from lsl_to_ros.topics.lanes import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
 from lsl_to_ros.topics.writers import ChunkWriter
 

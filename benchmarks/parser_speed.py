@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from biosensor_gateway.devices.zephyr.driver.messages import Waveform
 from biosensor_gateway.devices.zephyr.driver.protocol import MessageId, ZephyrProtocol
-from biosensor_gateway.devices.zephyr.simulator.recording import (
+from biosensor_gateway.devices.zephyr.simulator.recorded_bioharness import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
     read_timing,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks.child import Orders, say
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.replay.player import Player, PlayOptions
 
 

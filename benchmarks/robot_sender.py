@@ -14,7 +14,7 @@ import rclpy
 from rclpy.qos import QoSProfile
 
 from benchmarks.child import Orders, say
-from lsl_to_ros.ros_to_lsl.fields import message_class
+from lsl_to_ros.ros_to_lsl.class_fields import message_class
 
 # Their own annotations are partial.
 JointState = message_class("sensor_msgs/msg/JointState")

@@ -17,8 +17,8 @@ from rclpy.executors import SingleThreadedExecutor
 from benchmarks.child import Orders, say
 from benchmarks.robot_sender import topic_of
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
-from lsl_to_ros.ros_to_lsl.bridge import Bridge
-from lsl_to_ros.ros_to_lsl.outlets import SampleOutlet
+from lsl_to_ros.ros_to_lsl.topic_bridge import Bridge
+from lsl_to_ros.ros_to_lsl.topic_outlets import SampleOutlet
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 
 _POLL_S = 0.05

@@ -20,7 +20,7 @@ PERSON = DeviceIdentity("acme_band", "A1-7", "p01", "left")
 STREAM = raw("acc", ContentType.ACCELEROMETER, channels(Unit.G, "x", "y", "z"), 32.0)
 # Whoever sends or receives brings pylsl; rosdep has no key for it.
 NEED_PYLSL = {
-    "biosensor_common.doctor.survey",
+    "biosensor_common.doctor.lsl_process",
     "biosensor_common.lsl.inlet",
     "biosensor_common.lsl.network",
     "biosensor_common.lsl.outlet",

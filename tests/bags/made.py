@@ -18,8 +18,8 @@ from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.xdf import xdf_file
 

@@ -15,11 +15,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from typer.testing import CliRunner
 
 from biosensor_gateway.cli.bag import app
+from biosensor_gateway.recording.bag.conversion import Imported, import_bag
 from biosensor_gateway.recording.bag.headers import TOPIC, RecordedStream, listed_facts, stream_text
-from biosensor_gateway.recording.bag.importing import Imported, import_bag
 from biosensor_gateway.recording.bag.types import EVENT, SAMPLES, BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.recording import read_recording

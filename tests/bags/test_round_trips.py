@@ -28,10 +28,10 @@ from biosensor_common.ros.fields import bulk_of, fields_of, has_header
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.bag import types
-from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.bag.conversion import import_bag
 from biosensor_gateway.recording.bag.types import Topic
-from biosensor_gateway.recording.contents.opening import open_contents
-from lsl_to_ros.ros_to_lsl import fields
+from biosensor_gateway.recording.contents.contents import open_contents
+from lsl_to_ros.ros_to_lsl import class_fields
 from tests.bags import made
 from tests.system import bag_reader
 from tests.xdf import xdf_file
@@ -254,14 +254,14 @@ def test_types_have_the_nodes_fields() -> None:
     compared = 0
     for name in types.typestore().fielddefs:
         try:
-            live = fields.message_class(name)
+            live = class_fields.message_class(name)
         except GatewayError:
             continue
         compared += 1
         definition = types.MessageType(Topic("/a", name)).definition
-        assert fields_of(definition) == fields.fields_of(live), name
-        assert has_header(definition) == fields.has_header(live), name
-        assert bulk_of(definition) == fields.bulk_of(live), name
+        assert fields_of(definition) == class_fields.fields_of(live), name
+        assert has_header(definition) == class_fields.has_header(live), name
+        assert bulk_of(definition) == class_fields.bulk_of(live), name
     assert compared > 100
 
 

@@ -11,7 +11,7 @@ import pytest
 from bleak.uuids import normalize_uuid_16
 
 from biosensor_gateway.captures.file import Advertised, Event
-from biosensor_gateway.captures.player import HOLD_S, LinkPlayer
+from biosensor_gateway.captures.link_player import HOLD_S, LinkPlayer
 from biosensor_gateway.captures.redaction import Redaction
 from biosensor_gateway.devices.line_sensor import driver as line_sensor
 from biosensor_gateway.system.clock import LeapingClock

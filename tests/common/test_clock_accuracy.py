@@ -21,7 +21,10 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
-from biosensor_gateway.devices.zephyr.simulator.recording import RECORDING_150_S, read_timing
+from biosensor_gateway.devices.zephyr.simulator.recorded_bioharness import (
+    RECORDING_150_S,
+    read_timing,
+)
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs import clock_simulation as simulation
 from tests.rigs.clock_simulation import Way, exponential_20_ms, simulate, summary, uniform_100_ms

@@ -307,7 +307,7 @@ import biosensor_common
 for module in walk_packages(biosensor_common.__path__, "biosensor_common."):
     # Of a program of its own, which asks LSL; of pylsl's kind; bytes of messages from arrays.
     if module.name.partition(".")[2] not in (
-        "doctor.survey", "lsl.inlet", "lsl.network", "lsl.outlet",
+        "doctor.lsl_process", "lsl.inlet", "lsl.network", "lsl.outlet",
         "ros.cdr", "ros.messages", "ros.standard_messages",
     ):
         import_module(module.name)

@@ -18,7 +18,7 @@ OURS, OTHERS = "group-a", "group-b"
 LIMIT_S = 120.0
 _SESSION = re.compile(r"(?m)^SessionID = (.*)$")
 MODULES = {
-    "doctor/survey.py",
+    "doctor/lsl_process.py",
     "lsl/network.py",
 }
 

@@ -19,15 +19,15 @@ from contextlib import suppress
 
 import pylsl
 
-from biosensor_common.doctor import survey
+from biosensor_common.doctor import lsl_process
 from biosensor_common.lsl.network import Network
 from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION, begins_with
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
-from biosensor_gateway.page.network.source import Reader
+from biosensor_gateway.page.network.network_thread import Reader
 from biosensor_gateway.recording.recorder import receiver, request, streams
-from biosensor_gateway.recording.recorder.program import predicate
+from biosensor_gateway.recording.recorder.programs import predicate
 from biosensor_gateway.recording.replay.playback import refuse_if_present
 from biosensor_gateway.recording.replay.source import ReplayError
 from lsl_to_ros.lsl.discovery import Discovery
@@ -127,7 +127,7 @@ def _replay() -> None:
 
 
 def _probe() -> None:
-    survey._find("PPG-ecg", 1.0)
+    lsl_process._find("PPG-ecg", 1.0)
 
 
 def _again(look: Callable[[], object]) -> Callable[[], None]:
@@ -152,9 +152,9 @@ CASES: dict[str, Callable[[], None]] = {
     "the recorder, only ours": _again(_recorder_of_ours),
     "our own recorder": _own_recorder,
     "before a replay": _again(_replay),
-    "doctor, the survey": _again(lambda: survey.survey(1.0, 0.1, 0.0)),
-    "doctor, the list": _again(lambda: survey.list_streams(1.0)),
-    "doctor, the meeting": _again(lambda: survey.meet("PPG-ecg", 1.0, 0.1)),
+    "doctor, the survey": _again(lambda: lsl_process.survey(1.0, 0.1, 0.0)),
+    "doctor, the list": _again(lambda: lsl_process.list_streams(1.0)),
+    "doctor, the meeting": _again(lambda: lsl_process.meet("PPG-ecg", 1.0, 0.1)),
     "doctor, the probe": _again(_probe),
 }
 
@@ -164,7 +164,7 @@ def _run_resolvers() -> None:
     own = sys.argv[2]
     pylsl.ContinuousResolver = _Watched
     pylsl.resolve_bypred = _watched_resolve
-    survey.answer = _ignore
+    lsl_process.answer = _ignore
     threads = [threading.Thread(target=run, name=case, daemon=True) for case, run in CASES.items()]
     for thread in threads:
         thread.start()

@@ -20,10 +20,10 @@ import pytest
 from biosensor_common import child
 from biosensor_common.doctor import computer, firewall, network, windows_firewall
 from biosensor_common.doctor.check import Finding, Level
-from biosensor_common.doctor.network import Interface
+from biosensor_common.doctor.interfaces import Interface
 from biosensor_common.doctor.windows_firewall import Network
 from biosensor_common.lsl.api_file import Ports
-from biosensor_gateway.doctor import devices
+from biosensor_gateway.doctor import device_checks
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 from tests.doctor.outlets import Offered, arguments, running
@@ -136,7 +136,7 @@ def test_a_computer_whose_sleep_is_masked_stays_awake(
 
     monkeypatch.setattr(child, "output_of", output_of)
     monkeypatch.setattr(sys, "platform", "linux")
-    found = [each.what for each in devices.power(context)]
+    found = [each.what for each in device_checks.power(context)]
     assert any("this computer goes to sleep" in each for each in found) is goes
     assert any("no setting is known that sends" in each for each in found) is not goes
 
@@ -153,7 +153,7 @@ def test_a_computer_that_knows_no_batteries_is_judged(
 
     monkeypatch.setattr(psutil, "sensors_battery", sensors_battery)
     monkeypatch.setattr(child, "output_of", output_of)
-    assert not any("battery" in each.what for each in devices.power(context))
+    assert not any("battery" in each.what for each in device_checks.power(context))
 
 
 def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
@@ -165,10 +165,10 @@ def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
         (usb / "power/control").write_text(f"{control}\n")
         (tmp_path / "bluetooth" / name).mkdir(parents=True)
         (tmp_path / "bluetooth" / name / "device").symlink_to(usb / "interface")
-    (found,) = devices.adapters(tmp_path / "bluetooth")
+    (found,) = device_checks.adapters(tmp_path / "bluetooth")
     assert (found.level, "hci0" in found.what) == (Level.NOTE, True)
     assert f"tee {tmp_path / 'usb-hci0/power/control'}" in found.fix
-    assert not list(devices.adapters(tmp_path / "none"))
+    assert not list(device_checks.adapters(tmp_path / "none"))
 
 
 @pytest.mark.parametrize(

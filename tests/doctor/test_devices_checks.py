@@ -20,7 +20,7 @@ from biosensor_common.doctor.check import Level
 from biosensor_gateway.devices.emotiv_insight.simulator import Licence
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.doctor import devices as checks
+from biosensor_gateway.doctor import device_checks as checks
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
@@ -157,7 +157,7 @@ def _as_nobody(path: Path) -> str:
     code = (
         # What is imported later, that user may not read.
         "import getpass, grp, os, pwd; from pathlib import Path; "
-        "from biosensor_gateway.doctor.devices import device_file; "
+        "from biosensor_gateway.doctor.device_checks import device_file; "
         f"os.setgroups([]); os.setgid({nobody.pw_gid}); os.setuid({nobody.pw_uid}); "
         f"found = device_file(Path({str(path)!r}), 'zephyr'); "
         "print(found.level, found.what, found.fix, sep='|')"

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from biosensor_common.doctor import lsl_checks
 from biosensor_common.doctor import probe as probes
-from biosensor_common.doctor import streams
 from biosensor_common.doctor.check import Finding, Level
 from biosensor_common.doctor.probe import PROBE_COMMAND, Probe, ProbeError, SurveyedStream
 from biosensor_common.lsl import api_file
@@ -34,7 +34,7 @@ GOOD = SurveyedStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 
 
 
 def judged(*seen: SurveyedStream) -> list[Finding]:
-    return above_ok(list(streams.judge(seen)))
+    return above_ok(list(lsl_checks.judge(seen)))
 
 
 @pytest.mark.nightly
@@ -42,7 +42,7 @@ def test_nothing_is_there(
     examine: Examine, context: Context, session: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     del session
-    monkeypatch.setattr(streams, "SEARCH_S", 0.5)
+    monkeypatch.setattr(lsl_checks, "SEARCH_S", 0.5)
     assert [each.what for each in examine(context, "streams")] == [
         "there is no LSL stream at the moment"
     ]
@@ -101,7 +101,7 @@ def test_a_source_id_is_in_another_session_too(
 
 def test_each_source_id_of_another_session_is_an_error() -> None:
     theirs = replace(GOOD, session="b", name="theirs")
-    found = list(streams.judge_elsewhere([theirs, replace(theirs, source_id="id-2")]))
+    found = list(lsl_checks.judge_elsewhere([theirs, replace(theirs, source_id="id-2")]))
     assert [each.level for each in found] == [Level.ERROR] * 2
     assert found[0].what == (
         "another LSL session also has the source_id id-1: theirs on lab-pc in session 'b'"
@@ -139,7 +139,7 @@ def test_what_there_is_to_see_is_read_as_the_agent_reads_it(
     context: Context, session: str, offer: Callable[..., None]
 ) -> None:
     offer(Offered("a", session))
-    (seen,), _ = streams.survey(context)
+    (seen,), _ = lsl_checks.survey(context)
     assert (seen.name, seen.source_id, seen.format) == ("a", session, "float32")
     assert len(seen.ports) >= 2
     assert seen.offset_s is not None
@@ -225,15 +225,15 @@ def test_a_stream_that_is_not_found_is_an_error_with_the_ports(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     lsl_file(CONFIG)
-    real = streams.by_unicast
+    real = lsl_checks.by_unicast
     away = {("ports", "BasePort"): "61000", ("ports", "PortRange"): "2"}
 
     # Who looks for it elsewhere does not find it, as behind a firewall.
     def elsewhere(config: str) -> str:
         return api_file.changed(real(config), away)
 
-    monkeypatch.setattr(streams, "by_unicast", elsewhere)
-    monkeypatch.setattr(streams, "OWN_SEARCH_S", 1.0)
+    monkeypatch.setattr(lsl_checks, "by_unicast", elsewhere)
+    monkeypatch.setattr(lsl_checks, "OWN_SEARCH_S", 1.0)
     found = only(examine(context, "discovery"), "not found here even")
     assert found.level is Level.ERROR
     for part in ("16571/udp", "16572:16827/tcp", "--add-port=16572-16827/udp"):

@@ -20,7 +20,7 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SyntheticSource
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.contents.wall_clock import find_wall_clock
 from tests.bags import made
 from tests.rigs.lab_recorder import LabRecorder

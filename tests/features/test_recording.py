@@ -26,8 +26,8 @@ from biosensor_gateway.devices.empatica_e4 import SPEC as EMPATICA_E4
 from biosensor_gateway.features.offline import compute
 from biosensor_gateway.features.outputs import features_of
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.export.job import Task, export
 from tests.features import signals
 from tests.recording_export.study import ecg_values, ours
 from tests.xdf import xdf_file as made

@@ -92,7 +92,7 @@ def any_status(folder: Path) -> object:
 
 # Where, what, and how it is broken; a sensor's own targets say it themselves.
 FAULTS: dict[str, Fault] = {
-    "bags": ("biosensor_gateway.recording.xdf.writing", "footer", always(b"")),
+    "bags": ("biosensor_gateway.recording.xdf.chunks", "footer", always(b"")),
     "control_request": (
         "biosensor_gateway.agent.control_server.ControlServer",
         "_is_token",

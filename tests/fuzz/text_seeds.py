@@ -21,7 +21,7 @@ from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.settings.editor import template
-from lsl_to_ros.ros_to_lsl.fields import message_class
+from lsl_to_ros.ros_to_lsl.class_fields import message_class
 from tests.bags import made, mcap_bytes
 from tests.fuzz.streams import join_counted
 from tests.fuzz.targets.ros_to_lsl import CLASSES

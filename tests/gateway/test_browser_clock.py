@@ -16,7 +16,7 @@ from biosensor_gateway.page.experiments.conversation import (
     BrowserClock,
     Exchange,
 )
-from biosensor_gateway.page.experiments.markers import Pace
+from biosensor_gateway.page.experiments.web_markers import Pace
 from biosensor_gateway.system import browser
 from biosensor_gateway.system.browser import apps
 

@@ -23,7 +23,7 @@ from biosensor_gateway.cli.live_table import (
     running_foot,
 )
 from biosensor_gateway.devices.registry import sensor_names, sensor_title
-from biosensor_gateway.system.terminal import Line, Panel, Size
+from biosensor_gateway.system.console_lines import Line, Panel, Size
 from tests.rigs.terminal import Screen
 
 # The table of ``run``: what it says of each device, and that it fits any window.

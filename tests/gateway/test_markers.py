@@ -31,7 +31,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.markers import (
+from biosensor_gateway.agent.marker_commands import (
     LISTED,
     MAX_AGE_S,
     MAX_LEAD_S,
@@ -42,8 +42,8 @@ from biosensor_gateway.agent.markers import (
 from biosensor_gateway.cli import mark
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import MarkerSettings
-from biosensor_gateway.streaming import markers, outlets
-from biosensor_gateway.streaming.markers import KEPT, MarkerStream
+from biosensor_gateway.streaming import marker_stream, outlets
+from biosensor_gateway.streaming.marker_stream import KEPT, MarkerStream
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.gateway import cli_process, inlet
@@ -341,7 +341,7 @@ async def test_the_last_marker_is_heard_though_the_outlet_goes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # In real time, in which LSL sends; its threads may be held up for longer than a person waits.
-    monkeypatch.setattr(markers, "LINGER_S", 1.5)
+    monkeypatch.setattr(marker_stream, "LINGER_S", 1.5)
     desk = Desk(LSL_CLOCK)
     desk.stream.open()
     await listened_to(desk)

@@ -37,6 +37,7 @@ from biosensor_gateway.demo.virtual_devices import simulated_settings
 from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.page.routes.devices import last_lines
 from biosensor_gateway.page.routes.recording import Story
+from biosensor_gateway.recording.recorder.presence import expected_devices
 from biosensor_gateway.recording.recorder.request import (
     By,
     LocalStatus,
@@ -44,7 +45,6 @@ from biosensor_gateway.recording.recorder.request import (
     SensorsAwayError,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
-from biosensor_gateway.recording.recorder.streams import expected_devices
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE

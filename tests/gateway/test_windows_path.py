@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from biosensor_gateway.cli import installation
 from biosensor_gateway.cli.installation import Closable, Program, sentence
-from biosensor_gateway.recording.recorder import program
-from biosensor_gateway.recording.recorder.program import ansi_folder
+from biosensor_gateway.recording.recorder import programs
+from biosensor_gateway.recording.recorder.programs import ansi_folder
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN
 from biosensor_gateway.system.windows_console import (
     ENABLE_EXTENDED_FLAGS,
@@ -157,17 +157,17 @@ def test_where_labrecorder_could_not_read_session_and_peers_it_does_not_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It would record in the default session, without known peers, and say nothing."""
-    monkeypatch.setattr(program, "find_program", lambda: Path("/LabRecorderCLI"))
+    monkeypatch.setattr(programs, "find_program", lambda: Path("/LabRecorderCLI"))
     named: list[Path | None] = [tmp_path]
 
     def ansi(_folder: Path) -> Path | None:
         return named[0]
 
-    monkeypatch.setattr(program, "ansi_folder", ansi)
-    found, said = program.find_programs(tmp_path)
+    monkeypatch.setattr(programs, "ansi_folder", ansi)
+    found, said = programs.find_programs(tmp_path)
     assert ([*found], said) == ([LAB_RECORDER, OWN], [])
     named[0] = None
-    found, said = program.find_programs(tmp_path)
+    found, said = programs.find_programs(tmp_path)
     assert [*found] == [OWN]
     assert str(tmp_path) in said[0]
 

@@ -21,6 +21,11 @@ from biosensor_gateway.recording.participants import OtherParticipantsError, Wor
 from biosensor_gateway.recording.recorder import recording_file
 from biosensor_gateway.recording.recorder.labrecorder import RemoteControl
 from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.presence import (
+    Presence,
+    expected_devices,
+    require_startable,
+)
 from biosensor_gateway.recording.recorder.recording_file import (
     grows,
     sizes,
@@ -43,11 +48,6 @@ from biosensor_gateway.recording.recorder.state import (
     WRITTEN_WITHIN_S,
     WindowRecording,
     file_going_on,
-)
-from biosensor_gateway.recording.recorder.streams import (
-    Presence,
-    expected_devices,
-    require_startable,
 )
 from biosensor_gateway.settings.models import GatewaySettings
 from tests.lab_recorder.remote_control import LabRecorderPeer

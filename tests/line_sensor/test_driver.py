@@ -26,8 +26,8 @@ from biosensor_gateway.devices.line_sensor.simulator import (
     SimulatedLineSensor,
     UdpLineSensor,
 )
-from biosensor_gateway.page.agent import Viewer
-from biosensor_gateway.page.live import History
+from biosensor_gateway.page.agent_client import Viewer
+from biosensor_gateway.page.live_feed import History
 from biosensor_gateway.recording.xdf.verdict import by_devices
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World

@@ -17,7 +17,7 @@ from biosensor_gateway.agent import control, status_file
 from biosensor_gateway.agent.feed import MAX_READERS, MAX_WAITING_BYTES, Feed
 from biosensor_gateway.agent.feed_frames import HEAD, FrameKind, Samples, read_count, read_samples
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.page.agent import AgentLink
+from biosensor_gateway.page.agent_client import AgentLink
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.page.conftest import DEADLINE_S, Programs
 from tests.rigs.polling import until

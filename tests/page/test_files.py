@@ -14,19 +14,19 @@ import pytest
 
 import biosensor_gateway.page
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.page.advice import clicked
 from biosensor_gateway.page.models import all_explained
 from biosensor_gateway.page.routes import files as page_files
 from biosensor_gateway.page.share import view_of
-from biosensor_gateway.page.wording import clicked
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export import exporting
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.export import job
+from biosensor_gateway.recording.recorder.presence import Presence, require_startable
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     RecorderError,
     RecordingRequest,
     VisibleStream,
 )
-from biosensor_gateway.recording.recorder.streams import Presence, require_startable
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from tests.page.test_whose import Page
@@ -105,7 +105,7 @@ async def test_an_export_that_fails_as_nobody_foresaw_does_not_look_whole(
         raise RuntimeError("a defect")
 
     monkeypatch.setattr(page_files, "FORMATS", {"csv": broken})
-    monkeypatch.setattr(exporting, "FORMATS", {"csv": broken})
+    monkeypatch.setattr(job, "FORMATS", {"csv": broken})
     view = await exported(page, path=str(recording), formats=["csv"])
     assert not view["done"]
     assert "a defect" in view["problem"]

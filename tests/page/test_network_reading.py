@@ -24,8 +24,8 @@ from biosensor_common.stream_header import foreign_header
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.downsampling import MAX_ROWS_HZ, chosen, key_of, window
 from biosensor_gateway.page.models import NetworkView, SeenDeviceView, SeenState
-from biosensor_gateway.page.network.source import NetworkSource, Reader
-from biosensor_gateway.page.network.stream import Placer
+from biosensor_gateway.page.network.network_stream import Placer
+from biosensor_gateway.page.network.network_thread import NetworkSource, Reader
 from biosensor_gateway.page.network.stream_list import MAX_INLETS, StreamList
 from biosensor_gateway.page.network.view import Viewer, entry_of, readable
 from biosensor_gateway.page.pages import network_interface

@@ -33,10 +33,10 @@ from biosensor_gateway.agent.status import AgentStatus, DeviceFacts, DeviceStatu
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.sources import judge, stream_info
 from biosensor_gateway.page import interface
-from biosensor_gateway.page.agent import Viewer
+from biosensor_gateway.page.agent_client import Viewer
 from biosensor_gateway.page.auth import ViewKeys
 from biosensor_gateway.page.interface import Features
-from biosensor_gateway.page.live import HOLDS_S, History, is_of_now
+from biosensor_gateway.page.live_feed import HOLDS_S, History, is_of_now
 from biosensor_gateway.page.models import AgentState, DeviceView, StreamView
 from biosensor_gateway.page.routes import devices
 from biosensor_gateway.page.routes.api import misformed

@@ -24,7 +24,7 @@ from playwright.sync_api import Locator, Page, expect
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.page.experiments.server import experiment_token
+from biosensor_gateway.page.experiments.experiment_server import experiment_token
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import check
 from biosensor_gateway.simulation.faults import FaultKind

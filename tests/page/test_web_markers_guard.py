@@ -18,7 +18,7 @@ from websockets.typing import Origin
 
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.page.auth import MAX_EXPERIMENT_SOCKETS
-from biosensor_gateway.page.experiments.server import SOCKET
+from biosensor_gateway.page.experiments.experiment_server import SOCKET
 from tests.page.conftest import DEADLINE_S, assert_listens_on_loopback_alone
 from tests.page.web_lab import Answer, MarkerReader, WebLab
 from tests.rigs.polling import wait_until

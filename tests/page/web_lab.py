@@ -16,7 +16,7 @@ import pylsl
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.page.experiments.server import MARKERS, experiment_token
+from biosensor_gateway.page.experiments.experiment_server import MARKERS, experiment_token
 from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.rigs.polling import wait_until
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.bag.conversion import import_bag
 from tests.bags import made
 from tests.xdf import xdf_file
 

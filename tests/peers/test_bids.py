@@ -13,7 +13,7 @@ import pytest
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.bids.study import Study
 from biosensor_gateway.recording.export.exporter import Times
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
 from tests.recording_export.bids_shapes import (

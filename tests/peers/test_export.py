@@ -12,7 +12,7 @@ import pytest
 
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Clock
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from tests.recording_export.study import BEGIN_S, ecg_values, study
 
 pytestmark = pytest.mark.nightly

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
 from tests.recording_export.study import study
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.bag.conversion import import_bag
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.xdf.container import RecordingError
 from tests.peers.test_peers import ENVIRONMENT, PEERS
 from tests.recording_export import odd_shapes

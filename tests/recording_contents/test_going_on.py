@@ -15,10 +15,10 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.xdf import check as check_command
 from biosensor_gateway.cli.xdf import salvage_recording
 from biosensor_gateway.features.offline import compute
-from biosensor_gateway.page.wording import clicked
+from biosensor_gateway.page.advice import clicked
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Progress
-from biosensor_gateway.recording.export.exporting import Task, export, export_several
+from biosensor_gateway.recording.export.job import Task, export, export_several
 from biosensor_gateway.recording.recorder.state import (
     RecorderFolder,
     SavedRecording,

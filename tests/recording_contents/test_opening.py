@@ -17,8 +17,8 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.xdf.measuring import summarise_offsets
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.xdf.figures import summarise_offsets
 from biosensor_gateway.recording.xdf.sender_clock import SenderClock
 from tests.xdf import xdf_file as made
 from tests.xdf.own_streams import description

@@ -10,7 +10,7 @@ import pytest
 
 from biosensor_gateway.recording.contents.choice import BATCH, Selection
 from biosensor_gateway.recording.export.exporter import Clock, Times
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 
 Exporting = Callable[..., Outcome]

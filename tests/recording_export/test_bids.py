@@ -22,15 +22,15 @@ from biosensor_common.naming import label
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.export.bids.dataset import BidsDataset
 from biosensor_gateway.recording.export.bids.file_names import labels
 from biosensor_gateway.recording.export.bids.study import ADDED, Study
 from biosensor_gateway.recording.export.exporter import Clock, ExportOptions
-from biosensor_gateway.recording.export.exporting import Task, export, recordings_in
 from biosensor_gateway.recording.export.grid import place
+from biosensor_gateway.recording.export.job import Task, export, recordings_in
 from biosensor_gateway.recording.export.outcome import Outcome, Written
-from biosensor_gateway.recording.export.timing import find_timing
+from biosensor_gateway.recording.export.time_axis import find_timing
 from biosensor_gateway.recording.participants import Whose, entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.header import RecordedHeader

@@ -21,7 +21,7 @@ from hypothesis.extra import numpy as arrays
 
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Clock
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason

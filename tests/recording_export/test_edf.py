@@ -23,10 +23,10 @@ from biosensor_gateway.recording.export.edf.bdf import (
     layout,
 )
 from biosensor_gateway.recording.export.exporter import FORMATS, Clock, Times
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.printing import as_json, as_text
+from biosensor_gateway.recording.xdf.report_text import as_json, as_text
 from tests.page.test_whose import Page
 from tests.recording_export import odd_shapes
 from tests.recording_export.conftest import Exporting

@@ -22,7 +22,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.cli import xdf as command
 from biosensor_gateway.recording.contents.choice import Chosen, Selection
-from biosensor_gateway.recording.export import exporting
+from biosensor_gateway.recording.export import job
 from biosensor_gateway.recording.export.csv import wide
 from biosensor_gateway.recording.export.exporter import (
     FORMATS,
@@ -31,7 +31,7 @@ from biosensor_gateway.recording.export.exporter import (
     Progress,
     Times,
 )
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome, Written, outcome_json, sentences
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -144,7 +144,7 @@ def test_what_fails_on_the_way_leaves_nothing(
     error: BaseException, exported: Exporting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formats = {**FORMATS, "failing": lambda: _Failing(error)}
-    monkeypatch.setattr(exporting, "FORMATS", formats)
+    monkeypatch.setattr(job, "FORMATS", formats)
     with pytest.raises((RecordingError, KeyboardInterrupt)) as caught:
         exported(WHOLE, "csv-long", "failing")
     if isinstance(caught.value, RecordingError):
@@ -303,7 +303,7 @@ def _export(tmp_path: Path, *streams: bytes, name: str = "csv") -> Written:
     path = tmp_path / "study.xdf"
     path.write_bytes(made.xdf(*streams))
     task = Task([name], Selection(), is_wide=True)
-    (written,) = exporting.export(path, task, lambda _name, _s: lambda _done: None).written
+    (written,) = job.export(path, task, lambda _name, _s: lambda _done: None).written
     return written
 
 

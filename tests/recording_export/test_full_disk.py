@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from tests.recording_export import odd_shapes
 from tests.recording_export.study import BEGIN_S, ecg_values, ours, study
 from tests.xdf import xdf_file as made

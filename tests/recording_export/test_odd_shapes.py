@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import Replay
 from biosensor_gateway.features.offline import compute
-from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.bag.conversion import import_bag
 from biosensor_gateway.recording.bag.types import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.replay import playback
-from biosensor_gateway.recording.replay.outlet import played_info
 from biosensor_gateway.recording.replay.player import Player, PlayOptions, Timeline, Track
 from biosensor_gateway.recording.replay.source import ReplayError, opened
+from biosensor_gateway.recording.replay.stream_outlet import played_info
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path

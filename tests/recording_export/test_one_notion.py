@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from biosensor_gateway.features.offline import compute
-from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.bag.conversion import import_bag
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.export.edf.exporter import Span, dealt_to_spans
+from biosensor_gateway.recording.export.edf.edf_exporter import Span, dealt_to_spans
 from biosensor_gateway.recording.export.marker_events import markers
 from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.replay import playback

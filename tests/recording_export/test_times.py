@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.contents.choice import Selection, choose, on_one_clock
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.export import runs
 from biosensor_gateway.recording.export.exporter import Missing, Times
 from biosensor_gateway.recording.export.outcome import Outcome, Written

@@ -14,14 +14,14 @@ import pytest
 
 from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import find_programs
+from biosensor_gateway.recording.recorder.presence import Presence
+from biosensor_gateway.recording.recorder.programs import find_programs
 from biosensor_gateway.recording.recorder.request import (
     LocalStarted,
     RecordingRequest,
     VisibleStream,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder
-from biosensor_gateway.recording.recorder.streams import Presence
 from biosensor_gateway.settings.models import GatewaySettings
 
 RATE_HZ = 2000

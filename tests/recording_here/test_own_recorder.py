@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder import local, receiver
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import find_programs
+from biosensor_gateway.recording.recorder.presence import Presence
+from biosensor_gateway.recording.recorder.programs import find_programs
 from biosensor_gateway.recording.recorder.receiver import ReceivedStream
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
@@ -33,7 +34,6 @@ from biosensor_gateway.recording.recorder.request import (
     VisibleStream,
 )
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
-from biosensor_gateway.recording.recorder.streams import Presence
 from biosensor_gateway.recording.xdf.container import Chunk, Tag, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.header import parse_stream_header

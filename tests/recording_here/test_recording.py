@@ -23,7 +23,8 @@ import pyxdf
 
 from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import launch
+from biosensor_gateway.recording.recorder.presence import Presence
+from biosensor_gateway.recording.recorder.programs import launch
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     LocalStatus,
@@ -34,7 +35,6 @@ from biosensor_gateway.recording.recorder.request import (
     VisibleStream,
 )
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, OWN, RecorderFolder
-from biosensor_gateway.recording.recorder.streams import Presence
 from biosensor_gateway.recording.xdf.findings import Level, by_event
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
@@ -277,7 +277,7 @@ import sys, time
 from pathlib import Path
 from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.request import BidsLabels, RecordingRequest
-from biosensor_gateway.recording.recorder.streams import (Presence)
+from biosensor_gateway.recording.recorder.presence import (Presence)
 from biosensor_gateway.recording.recorder.request import VisibleStream
 from biosensor_gateway.settings.models import GatewaySettings
 import socket

@@ -9,7 +9,7 @@ import pytest
 
 from biosensor_gateway.cli.record import watch_file
 from biosensor_gateway.recording.recorder.local import LocalRecorder
-from biosensor_gateway.recording.recorder.program import ProgramOutput
+from biosensor_gateway.recording.recorder.programs import ProgramOutput
 from biosensor_gateway.recording.recorder.request import (
     LocalStarted,
     LocalStatus,

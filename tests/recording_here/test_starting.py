@@ -18,6 +18,7 @@ from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.presence import Presence, doubles, expected_devices
 from biosensor_gateway.recording.recorder.recording_file import FileSummary, summarize
 from biosensor_gateway.recording.recorder.request import (
     RecorderError,
@@ -26,7 +27,6 @@ from biosensor_gateway.recording.recorder.request import (
     VisibleStream,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording, lost_by_start
-from biosensor_gateway.recording.recorder.streams import Presence, doubles, expected_devices
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings

@@ -391,7 +391,7 @@ _PATTERNS = (
     f"{_NODE}/lsl/*.py",
     f"{_NODE}/topics/*.py",
     f"{_NODE}/statistics/*.py",
-    f"{_NODE}/routing.py",
+    f"{_NODE}/routes.py",
     f"{_NODE}/subscriber_thread.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
         "application", "bridge", "graph", "node", "outlets", "reports",
@@ -401,7 +401,7 @@ _PATTERNS = (
         "markers", "outlets", "silence", "sink", "stages",
     )),
     f"{_AGENT}/streaming/events/*.py",
-    f"{_AGENT}/agent/markers.py",
+    f"{_AGENT}/agent/marker_commands.py",
     f"{_AGENT}/features/*.py",
     f"{_AGENT}/pulses.py",
     f"{_AGENT}/page/network/*.py",

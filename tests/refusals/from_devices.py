@@ -25,12 +25,12 @@ from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.page.network import stream_list as listing_module
-from biosensor_gateway.page.network.stream import Placer
+from biosensor_gateway.page.network.network_stream import Placer
 from biosensor_gateway.page.network.stream_list import StreamList
 from biosensor_gateway.page.network.view import Viewer, _clock_note
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming import outlets
-from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
+from biosensor_gateway.streaming.marker_stream import MarkerKind, MarkerStream
 from biosensor_gateway.streaming.outlets import MAX_WAITING, Outlet, spare_outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.polar_h10.test_emitter import ECG, arrival, ecg

@@ -32,13 +32,13 @@ from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import reporter
 from lsl_to_ros.reports.diagnostics import LEASE_S, judge
 from lsl_to_ros.reports.reporter import Reporting, Survey
-from lsl_to_ros.routing import Routing
+from lsl_to_ros.routes import Routing
 from lsl_to_ros.statistics.losses import Delays, Lost, NodeCounters
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.lanes import Lane, Pace, Pacer
 from lsl_to_ros.topics.originals import ORIGINALS, Joined
 from lsl_to_ros.topics.outputs import open_outputs
-from lsl_to_ros.topics.pacing import Lane, Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicTypeError
 from lsl_to_ros.topics.writers import (
     ChunkWriter,

@@ -12,12 +12,12 @@ import pytest
 from rclpy.qos import QoSProfile
 
 from biosensor_common.refusal import Refusal, Refusals
-from lsl_to_ros.ros_to_lsl import bridge, outlets
+from lsl_to_ros.ros_to_lsl import outlets, topic_bridge
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
-from lsl_to_ros.ros_to_lsl.fields import message_class
+from lsl_to_ros.ros_to_lsl.class_fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Topic
-from lsl_to_ros.ros_to_lsl.outlets import OtherOutlet
 from lsl_to_ros.ros_to_lsl.reports import node_status
+from lsl_to_ros.ros_to_lsl.topic_outlets import OtherOutlet
 from lsl_to_ros.subscriber_thread import Taker, _Entry
 from tests.refusals.provoked import Shown, fake, provokes
 from tests.ros_to_lsl.test_bridge import NOW_NS, Outlet, Sent, TFMessage, info, transform
@@ -69,7 +69,7 @@ def rounded(patch: pytest.MonkeyPatch) -> Shown:
 
 @provokes(Refusal.TOO_MANY_PAIRS)
 def too_many_pairs(patch: pytest.MonkeyPatch) -> Shown:
-    patch.setattr(bridge, "MAX_PAIRS", 1)
+    patch.setattr(topic_bridge, "MAX_PAIRS", 1)
     message = TFMessage([transform("odom", "base", 1.0), transform("base", "hand", 2.0)])
     return entry(sent(patch, TFMessage, message))
 

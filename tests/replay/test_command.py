@@ -24,7 +24,7 @@ from biosensor_gateway.recording.bag.types import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Selection, choose
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.exporter import Clock, Progress
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.replay.playback import elsewhere
 from biosensor_gateway.recording.replay.player import (
     BIN_S,

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.recording import read_recording

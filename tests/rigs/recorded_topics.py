@@ -17,7 +17,7 @@ from biosensor_common.spec import DeviceIdentity, FromDevice
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping
-from lsl_to_ros.topics.pacing import Pace, Pacer
+from lsl_to_ros.topics.lanes import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher
 
 DEVICE_RATE_HZ = 10.0

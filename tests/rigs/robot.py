@@ -26,7 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from lsl_to_ros.ros_to_lsl.fields import message_class
+from lsl_to_ros.ros_to_lsl.class_fields import message_class
 
 # Their own annotations are partial.
 WrenchStamped = message_class("geometry_msgs/msg/WrenchStamped")

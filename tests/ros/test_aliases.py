@@ -23,7 +23,7 @@ from lsl_to_ros.lsl.discovery import SETTLED_S, Discovery
 from lsl_to_ros.lsl.inlets import InletState
 from lsl_to_ros.parameters.node import ALIASES, aliases_of, fault
 from lsl_to_ros.parameters.streams import StreamSettings, check
-from lsl_to_ros.routing import renamed
+from lsl_to_ros.routes import renamed
 from lsl_to_ros.statistics.losses import Lost, NodeCounters
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 from lsl_to_ros.topics.bridge import Bridge

@@ -19,7 +19,7 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import Float32, Float32MultiArray, String
 
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from tests.features.test_senders_in_bursts import BURST, Sender, features_program, sending
 from tests.replay import files

@@ -34,8 +34,8 @@ from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.statistics.losses import Lost
 from lsl_to_ros.topics.bridge import Outputs
+from lsl_to_ros.topics.lanes import Pace, Pacer
 from lsl_to_ros.topics.outputs import CLASSES, HAS_STAMPED_TOPICS, open_outputs
-from lsl_to_ros.topics.pacing import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, Run, StreamContext
 from tests.rigs.recorded_topics import Clocks, header_of

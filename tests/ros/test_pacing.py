@@ -12,7 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from std_msgs.msg import Float32, String
 
-from lsl_to_ros.topics.pacing import (
+from lsl_to_ros.topics.lanes import (
     AT_ONCE,
     BACKLOG,
     MOST_WAITING,

@@ -13,13 +13,13 @@ import pytest
 from rclpy.serialization import serialize_message
 from rosidl_parser import definition
 
-from lsl_to_ros.ros_to_lsl import bridge, outlets
-from lsl_to_ros.ros_to_lsl.bridge import Bridge, MessageType
-from lsl_to_ros.ros_to_lsl.fields import message_class, type_name
+from lsl_to_ros.ros_to_lsl import outlets, topic_bridge
+from lsl_to_ros.ros_to_lsl.class_fields import message_class, type_name
 from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.reports import topic_facts, topic_status
 from lsl_to_ros.ros_to_lsl.stamps import Offset, StampSource
+from lsl_to_ros.ros_to_lsl.topic_bridge import Bridge, MessageType
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.statistics.status import StreamStatus
 from lsl_to_ros.subscriber_thread import has_nul, steps_of
@@ -206,7 +206,7 @@ def test_frames_with_slashes_never_share_a_stream() -> None:
 
 
 def test_more_pairs_than_there_may_be_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bridge, "MAX_PAIRS", 2)
+    monkeypatch.setattr(topic_bridge, "MAX_PAIRS", 2)
     sent = Sent("/tf", TFMessage)
     many = [transform("camera", f"face_{number}", 1.0) for number in range(4)]
     sent.take(TFMessage(transforms=many))

@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
 from biosensor_common.ros.fields import all_fields
 from biosensor_common.ros.layout import Layout, LayoutChangedError
-from lsl_to_ros.ros_to_lsl.fields import fields_of, message_class, type_name
+from lsl_to_ros.ros_to_lsl.class_fields import fields_of, message_class, type_name
 from lsl_to_ros.ros_to_lsl.parameters import (
     NODE_OPTIONS,
     TOPIC_OPTIONS,

@@ -19,7 +19,6 @@ from std_msgs.msg import String
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.ros_to_lsl.application import Bounds
-from lsl_to_ros.ros_to_lsl.bridge import Doubts, PublicationLosses
 from lsl_to_ros.ros_to_lsl.stamps import (
     AHEAD_S,
     BEHIND_S,
@@ -33,6 +32,7 @@ from lsl_to_ros.ros_to_lsl.stamps import (
     StampSource,
     doubt_of,
 )
+from lsl_to_ros.ros_to_lsl.topic_bridge import Doubts, PublicationLosses
 from lsl_to_ros.statistics.ros_time import RosTime
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
 

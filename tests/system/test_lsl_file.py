@@ -21,7 +21,7 @@ import pytest
 import pyxdf
 
 from biosensor_common.lsl.api_file import home_config_file
-from biosensor_gateway.recording.recorder.program import LAB_RECORDER
+from biosensor_gateway.recording.recorder.programs import LAB_RECORDER
 from biosensor_gateway.recording.recorder.state import RecorderFolder
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE
 from tests.rigs.hosts.lan import NETWORK, Host, Lan

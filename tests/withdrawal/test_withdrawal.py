@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 from biosensor_common.naming import label
 from biosensor_gateway.cli.withdraw import withdraw
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.export.bids.study import Study
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.withdrawal.traces import Person
 from biosensor_gateway.recording.withdrawal.work import (

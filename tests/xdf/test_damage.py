@@ -24,8 +24,8 @@ from biosensor_gateway.recording.xdf.container import RecordingError, RecordingR
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level, in_order
 from biosensor_gateway.recording.xdf.header import decoded
-from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.report_text import as_json, as_text
 from biosensor_gateway.recording.xdf.verdict import judge
 from tests.xdf import xdf_file as made
 from tests.xdf import xdf_file as x

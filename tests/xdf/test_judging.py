@@ -33,8 +33,8 @@ from biosensor_gateway.recording.xdf.findings import (
     by_event,
     late_streams,
 )
-from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.report_text import as_json, as_text
 from biosensor_gateway.recording.xdf.verdict import Colour, by_devices, by_name, judge, verdict
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind

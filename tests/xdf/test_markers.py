@@ -23,12 +23,12 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.recorder.recording_file import summarize
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report
+from biosensor_gateway.recording.xdf.report_text import as_json, as_text
 from biosensor_gateway.recording.xdf.verdict import judge
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
+from biosensor_gateway.streaming.marker_stream import MarkerKind, MarkerStream
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.lab_recorder import LabRecorder
 from tests.xdf.checking import codes, load_by_pyxdf, text_of

@@ -13,7 +13,7 @@ from edfio import read_bdf
 from biosensor_gateway.features.offline import compute
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export.exporter import Times
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.xdf.findings import Level
 from tests.features import signals
 from tests.xdf import test_pace as stamped

@@ -11,15 +11,19 @@ from pathlib import Path
 
 from biosensor_gateway.captures.file import ENDING, Capture, Event, Header, packed
 from biosensor_gateway.devices.zephyr.driver.protocol import Request, enable
-from biosensor_gateway.devices.zephyr.simulator import recording
-from biosensor_gateway.devices.zephyr.simulator.recording import RECORDING_150_S, read_timing, split
+from biosensor_gateway.devices.zephyr.simulator import recorded_bioharness
+from biosensor_gateway.devices.zephyr.simulator.recorded_bioharness import (
+    RECORDING_150_S,
+    read_timing,
+    split,
+)
 from biosensor_gateway.transports.tap import What
 
 SOURCE = (
     "zephyr-bt, recorded in 2012 by its authors, BSD-2-Clause; requests made up from their "
     "acknowledgements"
 )
-FOLDER = Path(recording.__file__).parent / "recordings"
+FOLDER = Path(recorded_bioharness.__file__).parent / "recordings"
 FILES = Path(__file__).parents[1] / "captures" / "files"
 FILE = FILES / "zephyr" / f"BioHarness_3{ENDING}"
 

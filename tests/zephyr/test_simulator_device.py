@@ -26,7 +26,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
 )
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from biosensor_gateway.devices.zephyr.simulator import RecordedZephyr, recording
-from biosensor_gateway.devices.zephyr.simulator.recording import (
+from biosensor_gateway.devices.zephyr.simulator.recorded_bioharness import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
     Arrival,

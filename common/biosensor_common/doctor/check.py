@@ -166,11 +166,13 @@ class Check(NamedTuple):
 
 
 _COMMON = "biosensor_common.doctor"
-_COMPUTER, _NETWORK, _STREAMS = (f"{_COMMON}.{name}" for name in ("computer", "network", "streams"))
+_COMPUTER, _NETWORK, _STREAMS = (
+    f"{_COMMON}.{name}" for name in ("computer", "interfaces", "lsl_checks")
+)
 _FIREWALL = f"{_COMMON}.firewall"
 _AGENTS = partial(Check, program=AGENT)
 _AGENT = "biosensor_gateway.doctor"
-_DEVICES = f"{_AGENT}.devices"
+_DEVICES = f"{_AGENT}.device_checks"
 CHECKS = (
     Check(
         "versions", Category.PROGRAM, "versions and locations of the programs involved", _COMPUTER

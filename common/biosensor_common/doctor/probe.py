@@ -10,7 +10,7 @@ answer one line on stdout::
 The process ends by itself after ``life_s`` at the latest, and reads stdin no further: on
 Windows, loading a library blocks while another thread reads from stdin.
 
-`Probe` is the client; `serve` is the server, for LSL in `biosensor_common.doctor.survey`.
+`Probe` is the client; `serve` is the server, for LSL in `biosensor_common.doctor.lsl_process`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def probe_command() -> list[str]:
     """Return the command line of the LSL process, from source or frozen."""
     if getattr(sys, "frozen", False):
         return [sys.executable, PROBE_COMMAND]
-    return [sys.executable, "-P", "-m", "biosensor_common.doctor.survey"]
+    return [sys.executable, "-P", "-m", "biosensor_common.doctor.lsl_process"]
 
 
 class Probe:
@@ -68,7 +68,7 @@ class Probe:
     Parameters
     ----------
     command
-        Its command line; by default that of `biosensor_common.doctor.survey`.
+        Its command line; by default that of `biosensor_common.doctor.lsl_process`.
     request
         Arguments of the role; for LSL always ``config``.
     """

@@ -36,7 +36,7 @@ from biosensor_gateway.agent.device_set import (
 )
 from biosensor_gateway.agent.device_states import CONNECTED, unique_names
 from biosensor_gateway.agent.feed import Feed
-from biosensor_gateway.agent.markers import MarkerCommands
+from biosensor_gateway.agent.marker_commands import MarkerCommands
 from biosensor_gateway.agent.pauses import PauseCommands
 from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
 from biosensor_gateway.agent.status_file import STATUS_FILE
@@ -44,7 +44,7 @@ from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.markers import MarkerStream
+from biosensor_gateway.streaming.marker_stream import MarkerStream
 from biosensor_gateway.streaming.outlets import Outlet, own_outlet
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink

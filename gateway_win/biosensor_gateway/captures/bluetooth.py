@@ -26,7 +26,7 @@ from bleak.exc import BleakError, BleakGATTProtocolError
 
 from biosensor_common.errors import TransportError
 from biosensor_gateway.captures.file import Advertised, Event, Row
-from biosensor_gateway.captures.player import LinkPlayer, Player
+from biosensor_gateway.captures.link_player import LinkPlayer, Player
 from biosensor_gateway.simulation.bleak_pickers import Backends
 from biosensor_gateway.transports.tap import What
 from biosensor_gateway.transports.threads import in_background

@@ -24,7 +24,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.captures.bluetooth import backends
 from biosensor_gateway.captures.file import Arrivals, Capture
-from biosensor_gateway.captures.player import Player, ReplayedLink, ReplayedPorts
+from biosensor_gateway.captures.link_player import Player, ReplayedLink, ReplayedPorts
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.bleak_pickers import standing_in

@@ -51,7 +51,7 @@ def _run() -> None:
     if len(sys.argv) == 1:
         _ask_after_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:
-        from biosensor_gateway.recording.recorder.program import supervise  # only then
+        from biosensor_gateway.recording.recorder.programs import supervise  # only then
 
         sys.exit(supervise(Path(sys.argv[2])))
     if sys.argv[1:2] == [RECORD_STREAMS]:

@@ -27,7 +27,7 @@ from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.device_set import ReadSettings
-from biosensor_gateway.agent.markers import MARKERS
+from biosensor_gateway.agent.marker_commands import MARKERS
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.cli.live_table import LiveTable
@@ -38,6 +38,7 @@ from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LogSettings, LslSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.child import start_for
+from biosensor_gateway.system.console_lines import shows_colours
 from biosensor_gateway.system.keep_alive import RESTARTS, await_turn, restart_facts
 from biosensor_gateway.system.logs import (
     configure_logs,
@@ -46,7 +47,6 @@ from biosensor_gateway.system.logs import (
     log_to_file_alone,
 )
 from biosensor_gateway.system.shutdown import until_signalled
-from biosensor_gateway.system.terminal import shows_colours
 from biosensor_gateway.system.windows_console import quick_edit_off
 
 _start_log = structlog.get_logger("biosensor_gateway.cli")

@@ -10,7 +10,7 @@ import typer
 
 from biosensor_gateway.cli.options import JsonOption, wrong_recording
 from biosensor_gateway.cli.output import say
-from biosensor_gateway.recording.xdf.printing import printable
+from biosensor_gateway.recording.xdf.report_text import printable
 from biosensor_gateway.system.shutdown import requests_interrupt
 
 _MOST_SENTENCES = 10
@@ -46,7 +46,7 @@ def import_recording(
     of all other messages become channels named after their fields. No file
     is overwritten.
     """
-    from biosensor_gateway.recording.bag.importing import import_bag, usual_path  # rosbags
+    from biosensor_gateway.recording.bag.conversion import import_bag, usual_path  # rosbags
 
     with wrong_recording():
         imported = import_bag(bag, output or usual_path(bag))

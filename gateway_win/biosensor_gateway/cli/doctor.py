@@ -104,6 +104,6 @@ def _network_check(
 
 def doctor_probe() -> None:
     """Run a check's second program; used by doctor itself."""
-    from biosensor_common.doctor import survey  # brings pylsl
+    from biosensor_common.doctor import lsl_process  # brings pylsl
 
-    survey.main()
+    lsl_process.main()

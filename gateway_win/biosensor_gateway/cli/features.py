@@ -24,7 +24,7 @@ from biosensor_gateway.cli.options import (
     wrong_recording,
 )
 from biosensor_gateway.cli.output import say
-from biosensor_gateway.recording.xdf.printing import printable
+from biosensor_gateway.recording.xdf.report_text import printable
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.settings.places import state_folder
 

@@ -22,7 +22,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.device_states import STATE_WORDS, is_sending, names
 from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.cli.output import device_sentence, refused_now, restart_sentences
-from biosensor_gateway.system.terminal import (
+from biosensor_gateway.system.console_lines import (
     Line,
     Panel,
     Size,

@@ -127,7 +127,10 @@ def _show_web(*, renew: bool) -> None:
         If the settings are wrong, or the token can neither be read nor written.
     """
     from biosensor_gateway.cli.options import settings_or_defaults
-    from biosensor_gateway.page.experiments.server import experiment_token, new_experiment_token
+    from biosensor_gateway.page.experiments.experiment_server import (
+        experiment_token,
+        new_experiment_token,
+    )
 
     folder = state_folder()
     token = new_experiment_token(folder) if renew else experiment_token(folder)

@@ -24,6 +24,7 @@ from biosensor_gateway.recording.recorder.labrecorder import (
 )
 from biosensor_gateway.recording.recorder.live_file import Growth, Progress, StreamProgress
 from biosensor_gateway.recording.recorder.local import LocalRecorder, not_recording
+from biosensor_gateway.recording.recorder.presence import own_events
 from biosensor_gateway.recording.recorder.request import (
     GROWTH_S,
     MAX_RUN,
@@ -38,9 +39,8 @@ from biosensor_gateway.recording.recorder.request import (
     Stopped,
 )
 from biosensor_gateway.recording.recorder.state import WindowRecording
-from biosensor_gateway.recording.recorder.streams import own_events
 from biosensor_gateway.recording.xdf.findings import Finding, Level
-from biosensor_gateway.recording.xdf.printing import finding_lines, printable
+from biosensor_gateway.recording.xdf.report_text import finding_lines, printable
 from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import state_folder, usual_recordings_folder

@@ -46,12 +46,12 @@ from biosensor_gateway.demo.demonstration import (
 from biosensor_gateway.devices.registry import declaration, sensor_title
 from biosensor_gateway.page.instance import ask_for_window, ask_to_end, way_into
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import sentences
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.request import RecordingRequest
 from biosensor_gateway.recording.xdf.findings import Level
-from biosensor_gateway.recording.xdf.printing import finding_lines
+from biosensor_gateway.recording.xdf.report_text import finding_lines
 from biosensor_gateway.recording.xdf.verdict import Colour, ExpectedStream, Verdict, check
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.browser import open_page

@@ -13,7 +13,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, GatewayError, can
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.output import say
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.printing import printable
+from biosensor_gateway.recording.xdf.report_text import printable
 from biosensor_gateway.system.shutdown import requests_interrupt
 
 if TYPE_CHECKING:

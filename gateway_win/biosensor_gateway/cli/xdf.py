@@ -31,7 +31,7 @@ from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.contents.choice import Selection
 from biosensor_gateway.recording.export import exporter
 from biosensor_gateway.recording.export.exporter import FORMATS
-from biosensor_gateway.recording.export.exporting import (
+from biosensor_gateway.recording.export.job import (
     Exported,
     Task,
     Watch,
@@ -48,8 +48,8 @@ from biosensor_gateway.recording.export.outcome import (
 from biosensor_gateway.recording.participants import Whose
 from biosensor_gateway.recording.recorder.state import is_going_on, require_ended
 from biosensor_gateway.recording.xdf.event_rules import tells_devices
-from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.report_text import as_json, as_text
 from biosensor_gateway.recording.xdf.salvage import outcome as salvage_outcome
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome as Salvaged
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path

@@ -29,7 +29,7 @@ from biosensor_gateway.features.sources import (
     stream_info,
 )
 from biosensor_gateway.features.witnesses import Witnesses
-from biosensor_gateway.recording.contents.opening import (
+from biosensor_gateway.recording.contents.contents import (
     Contents,
     has_uneven_stamps,
     one_rate_each,
@@ -39,7 +39,7 @@ from biosensor_gateway.recording.contents.opening import (
 )
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.participants import compare_file
-from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.recording.xdf.pace import stray_text
 from biosensor_gateway.system.new_file import new_file
 
@@ -258,11 +258,11 @@ class _Written:
         values: NDArray[np.float32] = np.array([each.values for each in own], np.float32)
         self.first = self.first if self.sample_count else float(stamps[0])
         self.last, self.sample_count = float(stamps[-1]), self.sample_count + len(own)
-        return writing.samples(self.number, self._feature.stream.format, stamps, values)
+        return chunks.samples(self.number, self._feature.stream.format, stamps, values)
 
 
 def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) -> dict[str, int]:
-    writing.begin(file, begun, ())
+    chunks.begin(file, begun, ())
     counts: dict[str, int] = {}
     witnesses, number = _witnesses(pairs), 0
     for parts, source in pairs:
@@ -272,16 +272,16 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) ->
             number += 1
             info = stream_info(source, feature)
             names.append(info.name())
-            file.write(writing.stream_header(number, info.as_xml()))
+            file.write(chunks.stream_header(number, info.as_xml()))
             written.append(_Written(number, parts, feature))
         for part in parts:
             for each in written:
                 for taken_at, offset in part.clock_offsets:
-                    file.write(writing.clock_offset(each.number, taken_at, offset))
+                    file.write(chunks.clock_offset(each.number, taken_at, offset))
             for _, events in _computed(part, source, witnesses, remarks):
                 file.writelines(each.chunk(events) for each in written)
         for name, each in zip(names, written, strict=True):
-            file.write(writing.boundary() + writing.footer(each.number, each))
+            file.write(chunks.boundary() + chunks.footer(each.number, each))
             counts[name] = each.sample_count
     return counts
 

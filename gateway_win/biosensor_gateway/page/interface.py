@@ -16,9 +16,9 @@ from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_gateway.agent.status import RefusedStatus
 from biosensor_gateway.features.outputs import READ_SPELLINGS, feature_streams
-from biosensor_gateway.page.experiments.server import ExperimentServer
+from biosensor_gateway.page.experiments.experiment_server import ExperimentServer
 from biosensor_gateway.page.models import Problem, SeenStreamView
-from biosensor_gateway.page.network.source import Reader, into
+from biosensor_gateway.page.network.network_thread import Reader, into
 from biosensor_gateway.page.routes.agent import add_agent, add_quit, add_secrets
 from biosensor_gateway.page.routes.api import new_app
 from biosensor_gateway.page.routes.capture import Capturing, add_capture

@@ -13,7 +13,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
-from biosensor_gateway.page.wording import clicked
+from biosensor_gateway.page.advice import clicked
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
 from biosensor_gateway.recording.xdf.findings import Finding, by_event
 

@@ -31,10 +31,10 @@ from biosensor_gateway.system.browser import WayIn
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-    from biosensor_gateway.page.agent import AgentLink
+    from biosensor_gateway.page.agent_client import AgentLink
     from biosensor_gateway.page.interface import Interface
     from biosensor_gateway.page.models import ShareView
-    from biosensor_gateway.page.network.source import NetworkSource
+    from biosensor_gateway.page.network.network_thread import NetworkSource
     from biosensor_gateway.page.session import Session, Shutdown
     from biosensor_gateway.settings.models import LslSettings
 
@@ -129,8 +129,8 @@ class AgentPage:
 
     def _load(self) -> tuple[Session, Shutdown, AgentLink, ASGIApp]:
         with responsive():
-            from biosensor_gateway.page.agent import AgentLink
-            from biosensor_gateway.page.live import live
+            from biosensor_gateway.page.agent_client import AgentLink
+            from biosensor_gateway.page.live_feed import live
             from biosensor_gateway.page.session import Session, Shutdown
 
             session = Session(self._folder, self._settings)
@@ -238,8 +238,8 @@ class NetworkPage:
 
     def _source(self, lsl: LslSettings) -> tuple[NetworkSource, ASGIApp]:
         with responsive():
-            from biosensor_gateway.page.live import live
-            from biosensor_gateway.page.network.source import NetworkSource
+            from biosensor_gateway.page.live_feed import live
+            from biosensor_gateway.page.network.network_thread import NetworkSource
 
             source = NetworkSource(lsl, self._settings)
             return source, live(source, source.status)

@@ -17,8 +17,8 @@ from biosensor_gateway.agent.device_states import State
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, RefusedStatus
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.page.agent import Viewer
-from biosensor_gateway.page.live import Traces
+from biosensor_gateway.page.agent_client import Viewer
+from biosensor_gateway.page.live_feed import Traces
 from biosensor_gateway.page.models import (
     AgentState,
     ExperimentsView,

@@ -19,10 +19,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from biosensor_common.doctor.network import adapters
+from biosensor_common.doctor.interfaces import adapters
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.page.auth import DOOR, BrowserRules, Guard, ViewKeys
-from biosensor_gateway.page.live import live
+from biosensor_gateway.page.live_feed import live
 from biosensor_gateway.page.models import ShareView, StatusView
 from biosensor_gateway.page.server import PEOPLE, listening_at, served_alongside
 from biosensor_gateway.page.session import Session

@@ -32,7 +32,7 @@ from biosensor_common.nonblocking_writer import (
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.settings.places import STATE_VARIABLE
 from biosensor_gateway.system import state_file
-from biosensor_gateway.system.terminal import (
+from biosensor_gateway.system.console_lines import (
     LinesForPeople,
     Panel,
     cursor_moves,

@@ -30,9 +30,9 @@ from lsl_to_ros.parameters.node import (
 from lsl_to_ros.parameters.streams import Parameters
 from lsl_to_ros.reports.clock_pairs import CLOCK_PERIOD_S, ClockPairs
 from lsl_to_ros.reports.reporter import Reporting, Survey, stream_list
-from lsl_to_ros.routing import Routing
+from lsl_to_ros.routes import Routing
 from lsl_to_ros.statistics.ros_time import RosTime
-from lsl_to_ros.topics.pacing import Pace, Pacer
+from lsl_to_ros.topics.lanes import Pace, Pacer
 
 LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0

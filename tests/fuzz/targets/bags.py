@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 
-from biosensor_gateway.recording.bag.importing import import_bag, usual_path
+from biosensor_gateway.recording.bag.conversion import import_bag, usual_path
 from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.fuzz.contract import ensure

@@ -22,10 +22,10 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from biosensor_common.errors import ConfigError, SpecError
 from biosensor_common.ros.fields import Field
 from biosensor_common.ros.layout import Layout, LayoutChangedError
-from lsl_to_ros.ros_to_lsl.fields import fields_of, has_header, message_class
-from lsl_to_ros.ros_to_lsl.outlets import Origin, sample_info
+from lsl_to_ros.ros_to_lsl.class_fields import fields_of, has_header, message_class
 from lsl_to_ros.ros_to_lsl.parameters import Requests, requests_of
 from lsl_to_ros.ros_to_lsl.senders import ToText, as_json, is_text, marker_of, text_of
+from lsl_to_ros.ros_to_lsl.topic_outlets import Origin, sample_info
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import counted_pieces
 

@@ -17,8 +17,8 @@ from biosensor_gateway.recording.xdf.container import (
     RecordingReason,
     open_recording,
 )
-from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
+from biosensor_gateway.recording.xdf.report_text import as_json, as_text
 from biosensor_gateway.recording.xdf.salvage.outcome import as_json as salvage_as_json
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
 from biosensor_gateway.recording.xdf.salvage.survey import Survey, survey

@@ -15,8 +15,8 @@ from unittest.mock import patch
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.contents.choice import Selection
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.export.readme import OF_ONE_FILE, readme_beside
 from biosensor_gateway.recording.export.tables import MARKERS

@@ -18,7 +18,8 @@ from typing import NamedTuple, TextIO
 from biosensor_common.doctor import firewall, report
 from biosensor_common.doctor.check import AGENT, NODE, Category, Check, Context, Finding, error
 from biosensor_common.doctor.firewall import TCP, Way, active_firewalls, opening_on
-from biosensor_common.doctor.network import adapters
+from biosensor_common.doctor.interfaces import adapters
+from biosensor_common.doctor.lsl_checks import by_unicast
 from biosensor_common.doctor.network_check import sides
 from biosensor_common.doctor.network_check.diagnosis import doctor_command, judge, rows, sides_of
 from biosensor_common.doctor.network_check.facts import End, as_message
@@ -32,7 +33,6 @@ from biosensor_common.doctor.network_check.sides import (
 from biosensor_common.doctor.network_check.station import listed_streams, open_ports, sent_from_here
 from biosensor_common.doctor.probe import ProbeError
 from biosensor_common.doctor.report import Report, printable
-from biosensor_common.doctor.streams import by_unicast
 from biosensor_common.errors import CredentialError, GatewayError, TransportReason
 from biosensor_common.lsl import api_file
 from biosensor_common.terminal import columns, wrapped

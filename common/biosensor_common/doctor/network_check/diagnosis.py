@@ -9,10 +9,10 @@ from typing import NamedTuple
 from biosensor_common.doctor import firewall
 from biosensor_common.doctor.check import NODE, Finding, error, note, ok, warning
 from biosensor_common.doctor.firewall import TCP, UDP, Way
+from biosensor_common.doctor.lsl_checks import MAX_ROUND_TRIP_S
+from biosensor_common.doctor.lsl_checks import listed as named
 from biosensor_common.doctor.network_check.facts import Arrivals, Computer, End
 from biosensor_common.doctor.report import printable
-from biosensor_common.doctor.streams import MAX_ROUND_TRIP_S
-from biosensor_common.doctor.streams import listed as named
 from biosensor_common.terminal import shortened
 
 HERE = "this computer"

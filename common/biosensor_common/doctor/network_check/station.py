@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 from biosensor_common.doctor.check import Context
 from biosensor_common.doctor.firewall import active_firewalls
-from biosensor_common.doctor.network import LSL_GROUP, adapters, is_free
+from biosensor_common.doctor.interfaces import LSL_GROUP, adapters, is_free
+from biosensor_common.doctor.lsl_checks import by_unicast
 from biosensor_common.doctor.network_check.facts import (
     MAX_STREAMS,
     Arrivals,
@@ -29,7 +30,6 @@ from biosensor_common.doctor.network_check.facts import (
     Targets,
 )
 from biosensor_common.doctor.probe import Probe, ProbeError, SurveyedStream
-from biosensor_common.doctor.streams import by_unicast
 from biosensor_common.lsl import api_file
 from biosensor_common.lsl.api_file import PEERS, SESSION, Ports
 

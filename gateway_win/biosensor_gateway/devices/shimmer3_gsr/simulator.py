@@ -17,7 +17,7 @@ import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator import EXPECTED as ANY_SHIMMER
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
-from biosensor_gateway.devices.shimmer.simulator.streaming import Block, Meter
+from biosensor_gateway.devices.shimmer.simulator.sampler import Block, Meter
 from biosensor_gateway.devices.shimmer.simulator.wire import Memory
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer

@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from pylsl import local_clock
 
 from biosensor_common.errors import GatewayError, TransportError
-from biosensor_gateway.agent.markers import MAX_LEAD_S, MAX_WEB_AGE_S
+from biosensor_gateway.agent.marker_commands import MAX_LEAD_S, MAX_WEB_AGE_S
 from biosensor_gateway.page.auth import REFUSED_SOCKET, is_same
-from biosensor_gateway.page.experiments.markers import (
+from biosensor_gateway.page.experiments.web_markers import (
     MESSAGE,
     Hello,
     Mark,
@@ -27,7 +27,7 @@ from biosensor_gateway.page.experiments.markers import (
     WebMark,
 )
 from biosensor_gateway.page.models import ExperimentView
-from biosensor_gateway.streaming.markers import TimedBy, Timing
+from biosensor_gateway.streaming.marker_stream import TimedBy, Timing
 
 HELLO_WITHIN_S = 5.0
 PINGS_FIRST, FIRST_EVERY_S = 8, 0.03

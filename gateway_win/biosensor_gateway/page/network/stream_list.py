@@ -17,7 +17,7 @@ from biosensor_common.lsl.network import SenderNumbers, by_start
 from biosensor_common.quantities import ContentType
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.stream_header import CoreFields
-from biosensor_gateway.page.network.stream import (
+from biosensor_gateway.page.network.network_stream import (
     CLOCK_WITHIN_S,
     MAX_COUNTERS,
     UNSEEN_S,

@@ -17,7 +17,7 @@ from biosensor_common.stream_header import CoreFields, StreamHeader, stale_after
 from biosensor_gateway.agent.device_states import STATE_WORDS
 from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.downsampling import DRAWN_CHANNELS, chosen
-from biosensor_gateway.page.live import is_of_now
+from biosensor_gateway.page.live_feed import is_of_now
 from biosensor_gateway.page.models import (
     NetworkView,
     SeenDeviceView,
@@ -26,7 +26,7 @@ from biosensor_gateway.page.models import (
     TextView,
     WindowView,
 )
-from biosensor_gateway.page.network.stream import NetworkStream
+from biosensor_gateway.page.network.network_stream import NetworkStream
 from biosensor_gateway.page.network.stream_list import (
     MAX_INLETS,
     Counted,

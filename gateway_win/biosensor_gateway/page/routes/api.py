@@ -10,9 +10,9 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError, TransportReason
+from biosensor_gateway.page.advice import clicked
 from biosensor_gateway.page.models import Choice, Problem
 from biosensor_gateway.page.static_files import PREFIX
-from biosensor_gateway.page.wording import clicked
 
 _CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
 

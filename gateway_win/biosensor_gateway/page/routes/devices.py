@@ -33,8 +33,8 @@ from biosensor_gateway.settings import editor
 from biosensor_gateway.settings.models import ShortText, UnitText
 from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 from biosensor_gateway.system.child import start_beside
+from biosensor_gateway.system.console_lines import on_one_line, sentence_of
 from biosensor_gateway.system.logs import LOG_FILE_NAME
-from biosensor_gateway.system.terminal import on_one_line, sentence_of
 
 
 class SettingsChange(Body):

@@ -17,14 +17,14 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_gateway.page.advice import clicked
 from biosensor_gateway.page.models import ExplainedFinding, Outcome, PathText, all_explained
 from biosensor_gateway.page.routes.replay import RecordingPath, whole_path
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.export.exporter import FORMATS, Progress
-from biosensor_gateway.recording.export.exporting import (
+from biosensor_gateway.recording.export.job import (
     Exported,
     Task,
     Watch,

@@ -12,7 +12,7 @@ from fastapi import APIRouter
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.markers import LISTED
+from biosensor_gateway.agent.marker_commands import LISTED
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.models import (
     Body,

@@ -20,6 +20,7 @@ from biosensor_gateway.agent.device_states import (
     identity_of,
     is_sending,
 )
+from biosensor_gateway.page.advice import clicked
 from biosensor_gateway.page.models import (
     Body,
     Choice,
@@ -32,9 +33,9 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.routes.api import QuestionError
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.wording import clicked
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 from biosensor_gateway.recording.recorder.local import LocalRecorder
+from biosensor_gateway.recording.recorder.presence import live_features, titles
 from biosensor_gateway.recording.recorder.request import (
     BidsLabels,
     LocalStarted,
@@ -43,7 +44,6 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
     SensorsAwayError,
 )
-from biosensor_gateway.recording.recorder.streams import live_features, titles
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level, by_event
 from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path

@@ -24,7 +24,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import HEAD, FrameKind, Samples, read_samples
 from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.devices.registry import sensor_title
-from biosensor_gateway.page.live import Traces, is_of_now
+from biosensor_gateway.page.live_feed import Traces, is_of_now
 from biosensor_gateway.page.models import (
     Body,
     LongText,

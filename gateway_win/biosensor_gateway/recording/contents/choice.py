@@ -11,7 +11,7 @@ from datetime import datetime
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.ros_clock import NS_PER_S
-from biosensor_gateway.recording.contents.opening import Contents
+from biosensor_gateway.recording.contents.contents import Contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 
 

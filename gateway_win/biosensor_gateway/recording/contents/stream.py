@@ -25,8 +25,7 @@ from biosensor_gateway.recording.xdf.container import (
     RecordingError,
     RecordingReason,
 )
-from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import (
+from biosensor_gateway.recording.xdf.figures import (
     Course,
     clock_bounds,
     clock_error,
@@ -35,6 +34,7 @@ from biosensor_gateway.recording.xdf.measuring import (
     off_in_part,
     order_error,
 )
+from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.pace import FEW_ASTRAY, STEP_BACK_S, without_stray
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, Curve, RateChange
 from biosensor_gateway.recording.xdf.samples import Block, Texts, decode

@@ -24,7 +24,7 @@ Progress = Callable[[float], None]
 
 _HERE = "biosensor_gateway.recording.export"
 NEED_RATES = frozenset({"bids", "edf", "kubios"})
-"""Formats in which a stream needs a rate; see `recording.contents.opening`."""
+"""Formats in which a stream needs a rate; see `recording.contents.contents`."""
 HAVE_WIDE = frozenset({"csv", "csv.gz"})
 """Formats with a table for each rate, if it is asked for."""
 USUAL_GROWTH = 2.0
@@ -168,10 +168,10 @@ FORMATS: Mapping[str, Callable[[], Exporter]] = {
     "csv.gz": partial(_load, "csv.wide", "WideCsv", is_packed=True),
     "csv-long": partial(_load, "csv.long", "LongCsv"),
     "csv-long.gz": partial(_load, "csv.long", "LongCsv", is_packed=True),
-    "edf": partial(_load, "edf.exporter", "Edf"),
+    "edf": partial(_load, "edf.edf_exporter", "Edf"),
     "kubios": partial(_load, "kubios", "Kubios"),
     "ledalab": partial(_load, "ledalab", "Ledalab"),
-    "mcap": partial(_load, "mcap.exporter", "McapExporter"),
+    "mcap": partial(_load, "mcap.mcap_exporter", "McapExporter"),
 }
 """Functions that create the exporter of each format."""
 

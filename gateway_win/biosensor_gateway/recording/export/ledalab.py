@@ -36,7 +36,7 @@ from biosensor_gateway.recording.export.runs import (
 )
 from biosensor_gateway.recording.export.tables import MARKERS, file_names, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.measuring import longest_step_s
+from biosensor_gateway.recording.xdf.figures import longest_step_s
 from biosensor_gateway.recording.xdf.pace import Cuts
 
 CODES = "markers.csv"

@@ -10,7 +10,7 @@ from pathlib import Path
 from biosensor_gateway.recording.export.exporter import Missing
 from biosensor_gateway.recording.participants import Mismatch
 from biosensor_gateway.recording.xdf.container import Damage
-from biosensor_gateway.recording.xdf.printing import finite, printable
+from biosensor_gateway.recording.xdf.report_text import finite, printable
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporter import Times
-from biosensor_gateway.recording.export.timing import FittedLine
-from biosensor_gateway.recording.xdf.measuring import cuts_of, is_exact, longest_step_s
+from biosensor_gateway.recording.export.time_axis import FittedLine
+from biosensor_gateway.recording.xdf.figures import cuts_of, is_exact, longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S, Cuts, stray_text
 
 _BATCHES_IN_SECTION = 64

@@ -21,6 +21,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+from biosensor_gateway.recording.recorder.presence import (
+    Presence,
+    doubles,
+    look,
+    recorded_without,
+    require_startable,
+    titles,
+)
 from biosensor_gateway.recording.recorder.recording_file import (
     FileSummary,
     grows,
@@ -42,14 +50,6 @@ from biosensor_gateway.recording.recorder.request import (
     choose_target,
 )
 from biosensor_gateway.recording.recorder.state import WindowRecording
-from biosensor_gateway.recording.recorder.streams import (
-    Presence,
-    doubles,
-    look,
-    recorded_without,
-    require_startable,
-    titles,
-)
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import warnings_of

@@ -36,9 +36,7 @@ from biosensor_gateway.recording.xdf.event_rules import (
     are_within,
     split_pauses,
 )
-from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
-from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
-from biosensor_gateway.recording.xdf.measuring import (
+from biosensor_gateway.recording.xdf.figures import (
     MAX_STAMP_ERROR_S,
     MAX_UPTIME_S,
     Gap,
@@ -47,6 +45,8 @@ from biosensor_gateway.recording.xdf.measuring import (
     is_exact,
     joined,
 )
+from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
+from biosensor_gateway.recording.xdf.header import RecordedHeader, parse_stream_header
 from biosensor_gateway.recording.xdf.pace import Cuts
 from biosensor_gateway.recording.xdf.samples import (
     Constants,

@@ -25,7 +25,19 @@ from biosensor_common.lsl.api_file import (
 )
 from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_gateway.recording.recorder.live_file import GONE, Growth
-from biosensor_gateway.recording.recorder.program import (
+from biosensor_gateway.recording.recorder.presence import (
+    Devices,
+    away_findings,
+    doubles,
+    excused,
+    live_features,
+    look,
+    own_events,
+    recorded_without,
+    require_startable,
+    titles,
+)
+from biosensor_gateway.recording.recorder.programs import (
     END_S,
     PROGRAM_NAME,
     RECORD_STREAMS,
@@ -52,18 +64,6 @@ from biosensor_gateway.recording.recorder.request import (
     local_files,
 )
 from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
-from biosensor_gateway.recording.recorder.streams import (
-    Devices,
-    away_findings,
-    doubles,
-    excused,
-    live_features,
-    look,
-    own_events,
-    recorded_without,
-    require_startable,
-    titles,
-)
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.findings import Finding, Level, late_streams
 from biosensor_gateway.recording.xdf.recording import read_recording

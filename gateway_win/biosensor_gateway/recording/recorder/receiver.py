@@ -42,8 +42,8 @@ from biosensor_common.lsl.network import Network, Streams, search
 from biosensor_common.lsl.sender_clocks import LIMIT_S, PERIOD_S, STEP_S, SenderClocks
 from biosensor_common.process_limits import end_within, limit_arenas
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.recorder.program import NOTE
-from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.recorder.programs import NOTE
+from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 
@@ -150,7 +150,7 @@ class ReceivedStream:
 
     def begin(self) -> None:
         """Write the header."""
-        self._write(writing.stream_header(self._number, self._xml))
+        self._write(chunks.stream_header(self._number, self._xml))
         self.has_begun = True
 
     def take(self) -> int | None:
@@ -178,7 +178,7 @@ class ReceivedStream:
                 break
             is_text = self._core.format is ChannelFormat.STRING
             rows = [tuple(each) for each in values] if is_text else values
-            self._write(writing.samples(self._number, self._core.format, stamps, rows))
+            self._write(chunks.samples(self._number, self._core.format, stamps, rows))
             if not self.sample_count:
                 self.first = float(stamps[0])
             self.last = float(stamps[-1])
@@ -191,7 +191,7 @@ class ReceivedStream:
     def end(self) -> None:
         """Write the footer, which must be the last chunk."""
         if self.is_recordable and self.has_begun:
-            self._write(writing.footer(self._number, self))
+            self._write(chunks.footer(self._number, self))
 
     def open_clock(self) -> pylsl.StreamInlet:
         """Return an inlet for one measurement of the sender's clock.
@@ -207,7 +207,7 @@ class ReceivedStream:
         """Write a measured offset of the sender's clock."""
         taken_at = pylsl.local_clock() - correction
         self.clock_offsets.append((taken_at, correction))
-        self._write(writing.clock_offset(self._number, taken_at, correction))
+        self._write(chunks.clock_offset(self._number, taken_at, correction))
 
     def repeat_correction(self) -> None:
         """Write the last offset once more while there is no new one, as LabRecorder does.
@@ -310,7 +310,7 @@ class _Recorder:
             _say(f"Found {each.title} matching '{self._predicate}'")
         if not ready:
             return _NO_STREAM
-        writing.begin(self._target, datetime.now().astimezone().isoformat(timespec="seconds"), ())
+        chunks.begin(self._target, datetime.now().astimezone().isoformat(timespec="seconds"), ())
         # Headers first: readers of a growing file take the list of streams from them.
         for each in ready:
             each.begin()
@@ -345,7 +345,7 @@ class _Recorder:
                     each.repeat_correction()
             if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
                 marked_s = time.monotonic()
-                self._write(writing.boundary())
+                self._write(chunks.boundary())
         self._take()
         time.sleep(_LAST_S)
         self._take()

@@ -13,7 +13,6 @@ from biosensor_common.lsl.api_file import LslOverrides
 from biosensor_common.lsl.network import search
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.replay.outlet import NAMELESS
 from biosensor_gateway.recording.replay.player import Player, PlayOptions, Progress
 from biosensor_gateway.recording.replay.source import (
     ReplayError,
@@ -21,6 +20,7 @@ from biosensor_gateway.recording.replay.source import (
     content_hash,
     opened,
 )
+from biosensor_gateway.recording.replay.stream_outlet import NAMELESS
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.pace import stray_text
 from biosensor_gateway.settings.places import state_folder

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from biosensor_common.stream_header import Replay, recorded_source_id, replay_source_id
 from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
-from biosensor_gateway.recording.contents.opening import extent
+from biosensor_gateway.recording.contents.contents import extent
 from biosensor_gateway.recording.contents.stream import Samples, Stream
-from biosensor_gateway.recording.replay.outlet import Block, PlayedOutlet
 from biosensor_gateway.recording.replay.source import ReplayError, ReplayReason
+from biosensor_gateway.recording.replay.stream_outlet import Block, PlayedOutlet
 from biosensor_gateway.recording.xdf.container import Damage
 
 PACE_S = 0.002

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.recording.contents.opening import Contents, open_contents, open_ended
+from biosensor_gateway.recording.contents.contents import Contents, open_contents, open_ended
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 
@@ -62,7 +62,7 @@ def opened(path: Path) -> Generator[Contents]:
 @contextmanager
 def _imported(bag: Path) -> Generator[Path]:
     """Convert a bag to a temporary recording."""
-    from biosensor_gateway.recording.bag.importing import import_bag  # noqa: PLC0415 - rosbags
+    from biosensor_gateway.recording.bag.conversion import import_bag  # noqa: PLC0415 - rosbags
 
     with TemporaryDirectory(prefix="biosensor-gateway-replay-") as folder:
         # Named like the bag, because the headers of played streams contain the file name.

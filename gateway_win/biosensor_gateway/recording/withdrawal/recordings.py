@@ -11,11 +11,11 @@ from typing import BinaryIO
 import numpy as np
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.runs import joined
 from biosensor_gateway.recording.withdrawal.traces import SAMPLES, Person, Pieces
-from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.recording.xdf.container import (
     MAGIC,
     Chunk,
@@ -215,7 +215,7 @@ class _Copy:
         elif chunk.tag is Tag.SAMPLES and is_text:
             yield from self._texts(chunk, stream)
         elif chunk.tag is Tag.STREAM_FOOTER and is_text:
-            yield writing.footer(chunk.stream_id, stream)
+            yield chunks.footer(chunk.stream_id, stream)
         else:
             yield framed(chunk.tag, chunk.content)
 
@@ -227,7 +227,7 @@ class _Copy:
             header = parse_stream_header(content)
         except ChunkError:
             header = parse_stream_header(fix_stream_header(content)[0])
-        return writing.stream_header(chunk.stream_id, self._person.masked(header.xml))
+        return chunks.stream_header(chunk.stream_id, self._person.masked(header.xml))
 
     def _texts(self, chunk: Chunk, stream: _Kept) -> Iterator[bytes]:
         block = decode(chunk.body, stream.header, stream.read_last)
@@ -249,7 +249,7 @@ class _Copy:
         stream.last = stamps[-1]
         stream.sample_count += len(kept)
         form = stream.header.format
-        yield writing.samples(chunk.stream_id, form, np.array(stamps), kept)
+        yield chunks.samples(chunk.stream_id, form, np.array(stamps), kept)
 
 
 def without(text: str, person: Person) -> str | None:

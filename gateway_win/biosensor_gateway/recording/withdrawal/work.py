@@ -18,10 +18,10 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from biosensor_common.errors import cannot_write
-from biosensor_gateway.recording.bag.opening import read_bag
+from biosensor_gateway.recording.bag.bag_file import read_bag
 from biosensor_gateway.recording.bag.types import BagError
 from biosensor_gateway.recording.export.bids.study import CALLED, ID, PARTICIPANTS, is_dataset
-from biosensor_gateway.recording.export.exporting import is_recording
+from biosensor_gateway.recording.export.job import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
 from biosensor_gateway.recording.recorder.state import is_going_on
 from biosensor_gateway.recording.withdrawal import recordings

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.refusal import LATELY_S
-from biosensor_gateway.recording.xdf.measuring import Course
+from biosensor_gateway.recording.xdf.figures import Course
 
 # When the recorder stops it loses the samples of the last 0.5 s, and some devices send their
 # samples a second or two late.

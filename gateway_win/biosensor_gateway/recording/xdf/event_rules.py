@@ -14,9 +14,9 @@ from biosensor_common.plausible import finite
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS, device_name, holders
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
+from biosensor_gateway.recording.xdf.figures import Gap, Gaps
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import Gap, Gaps
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.streaming.events import EventKind

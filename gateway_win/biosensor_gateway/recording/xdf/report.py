@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from biosensor_gateway.recording.xdf.counters import RecordedCounters
+from biosensor_gateway.recording.xdf.figures import MAX_UPTIME_S, Figures
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import MAX_UPTIME_S, Figures
 from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
 from biosensor_gateway.recording.xdf.sender_clock import is_reading, plausible
 

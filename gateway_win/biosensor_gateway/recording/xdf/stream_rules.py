@@ -12,8 +12,8 @@ from biosensor_common.quantities import ContentType, Unit
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.event_rules import Absence, Spell
+from biosensor_gateway.recording.xdf.figures import seconds_text
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level
-from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.pace import Pace
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES
 from biosensor_gateway.recording.xdf.report import LATE_S, Extent, Measured, last_asked

@@ -22,6 +22,7 @@ from biosensor_gateway.recording.xdf.event_rules import (
     judge_devices,
     without_pauses,
 )
+from biosensor_gateway.recording.xdf.figures import measure, seconds_text
 from biosensor_gateway.recording.xdf.findings import (
     About,
     Finding,
@@ -33,7 +34,6 @@ from biosensor_gateway.recording.xdf.findings import (
     other_participants,
 )
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import measure, seconds_text
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report, extent
 from biosensor_gateway.recording.xdf.stream_rules import absent_senders, judge_stream

@@ -30,7 +30,7 @@ from lsl_to_ros.reports.diagnostics import (
     stream_facts,
     stream_status,
 )
-from lsl_to_ros.routing import Route, Routing
+from lsl_to_ros.routes import Route, Routing
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.statistics.status import Load, LoadFacts
 from lsl_to_ros.topics.bridge import Bridge

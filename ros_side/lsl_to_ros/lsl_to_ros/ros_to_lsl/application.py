@@ -33,9 +33,7 @@ from lsl_to_ros.parameters.node import DIAGNOSTICS_PERIOD, KNOWN_PEERS, SESSION_
 from lsl_to_ros.reports.clock_pairs import events_outlet
 from lsl_to_ros.reports.diagnostics import named_by
 from lsl_to_ros.reports.reporter import Rhythm
-from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Graph, Topic, are_named
-from lsl_to_ros.ros_to_lsl.outlets import OtherOutlet, OtherOutlets
 from lsl_to_ros.ros_to_lsl.parameters import TopicRequest, read_requests, stream_name
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
@@ -44,6 +42,8 @@ from lsl_to_ros.ros_to_lsl.reports import (
     topic_status,
 )
 from lsl_to_ros.ros_to_lsl.stamps import Offset
+from lsl_to_ros.ros_to_lsl.topic_bridge import Bridge
+from lsl_to_ros.ros_to_lsl.topic_outlets import OtherOutlet, OtherOutlets
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import TakenElsewhere, Taker
 from lsl_to_ros.topics.publishers import make_publisher

@@ -15,8 +15,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from biosensor_common.errors import GatewayError
 from biosensor_common.refusal import Refusal
 from biosensor_common.ros.fields import all_fields
-from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
-from lsl_to_ros.ros_to_lsl.fields import bulk_of, fields_of, message_class
+from lsl_to_ros.ros_to_lsl.class_fields import bulk_of, fields_of, message_class
+from lsl_to_ros.ros_to_lsl.topic_bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.statistics.status import StreamStatus
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 

@@ -20,9 +20,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from biosensor_common.refusal import Level, Refusals, Refused
 from biosensor_common.stream_header import stale_after_s
 from lsl_to_ros.reports.diagnostics import status, words_of
-from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.stamps import StampSource
+from lsl_to_ros.ros_to_lsl.topic_bridge import Bridge
 
 PROGRAM = "ros_to_lsl"
 

@@ -14,9 +14,9 @@ from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros.fields import NAMES, Field, FieldKind, all_fields
 from biosensor_common.ros.layout import Layout, LayoutChangedError, is_part
-from lsl_to_ros.ros_to_lsl.fields import FRAMES, bulk_of, fields_of
-from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
+from lsl_to_ros.ros_to_lsl.class_fields import FRAMES, bulk_of, fields_of
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
+from lsl_to_ros.ros_to_lsl.topic_outlets import MarkerOutlet, Origin, SampleOutlet
 from lsl_to_ros.subscriber_thread import RosMessage
 
 LINGER_S = 0.25

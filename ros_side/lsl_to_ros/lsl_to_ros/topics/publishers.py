@@ -15,7 +15,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.quantities import piece_messages, queue_depth
 from lsl_to_ros.parameters.node import QOS_OVERRIDES
-from lsl_to_ros.topics.pacing import Lane, Pacer
+from lsl_to_ros.topics.lanes import Lane, Pacer
 
 _POLICIES = (
     QoSPolicyKind.HISTORY,

@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
+from biosensor_gateway.devices.shimmer.simulator.sampler import Block
 from biosensor_gateway.devices.shimmer.simulator.sensors import (
     CHANNELS_16,
     CHANNELS_24,
@@ -43,7 +44,6 @@ from biosensor_gateway.devices.shimmer.simulator.sensors import (
     tuples,
     voltages,
 )
-from biosensor_gateway.devices.shimmer.simulator.streaming import Block
 from biosensor_gateway.devices.shimmer.simulator.wire import (
     OLDER_SHIMMER3,
     SHIMMER3R,

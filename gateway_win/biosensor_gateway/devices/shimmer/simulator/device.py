@@ -14,7 +14,7 @@ import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator import wire
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
-from biosensor_gateway.devices.shimmer.simulator.streaming import (
+from biosensor_gateway.devices.shimmer.simulator.sampler import (
     Meter,
     Sample,
     Sampling,

@@ -13,7 +13,7 @@ from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.export.bids.file_names import NOTHING
 from biosensor_gateway.recording.export.grid import Grid, Rows, part_of, write_rows
 from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
-from biosensor_gateway.recording.export.timing import Part
+from biosensor_gateway.recording.export.time_axis import Part
 
 _EMPTY_ROWS_AT_ONCE = 4096
 _MICROSECONDS = 6

@@ -24,7 +24,7 @@ from biosensor_gateway.recording.export.bids.file_names import (
 )
 from biosensor_gateway.recording.export.bids.regular import RegularTable, fill
 from biosensor_gateway.recording.export.edf.bdf import RATES_HZ, Channel
-from biosensor_gateway.recording.export.edf.exporter import (
+from biosensor_gateway.recording.export.edf.edf_exporter import (
     INSTEAD,
     Given,
     Holes,
@@ -38,8 +38,8 @@ from biosensor_gateway.recording.export.runs import (
     Stretch,
     stretches,
 )
-from biosensor_gateway.recording.export.timing import Part, Timing
-from biosensor_gateway.recording.xdf.measuring import is_exact
+from biosensor_gateway.recording.export.time_axis import Part, Timing
+from biosensor_gateway.recording.xdf.figures import is_exact
 
 LONGEST_FILLED_S = 10.0
 """A longer gap starts a new run."""

@@ -10,7 +10,7 @@ from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export import tables
 from biosensor_gateway.recording.export.bids.regular import RegularTable
 from biosensor_gateway.recording.export.exporter import Timeline
-from biosensor_gateway.recording.export.timing import Timing
+from biosensor_gateway.recording.export.time_axis import Timing
 
 TIMESTAMP = "timestamp"
 ONSET = "onset"

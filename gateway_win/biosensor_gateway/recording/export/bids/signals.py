@@ -60,8 +60,8 @@ from biosensor_gateway.recording.export.runs import (
     section,
 )
 from biosensor_gateway.recording.export.tables import rows_of_numbers, table_file
-from biosensor_gateway.recording.export.timing import Timing, find_timing
-from biosensor_gateway.recording.xdf.measuring import cuts_of
+from biosensor_gateway.recording.export.time_axis import Timing, find_timing
+from biosensor_gateway.recording.xdf.figures import cuts_of
 from biosensor_gateway.recording.xdf.pace import Cuts
 
 _BY_ROLE = {

@@ -43,7 +43,7 @@ from biosensor_gateway.recording.export.tables import (
     tidied,
     unique,
 )
-from biosensor_gateway.recording.export.timing import find_timing
+from biosensor_gateway.recording.export.time_axis import find_timing
 
 _MICROSECONDS = 6
 CONTENTS = "streams.json"

@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
+from biosensor_gateway.recording.xdf.chunks import footer
 from biosensor_gateway.recording.xdf.container import (
     BOUNDARY,
     MAGIC,
@@ -25,8 +26,8 @@ from biosensor_gateway.recording.xdf.container import (
     open_recording,
     read_frame,
 )
-from biosensor_gateway.recording.xdf.measuring import Course, clock_error
-from biosensor_gateway.recording.xdf.printing import finite, printable
+from biosensor_gateway.recording.xdf.figures import Course, clock_error
+from biosensor_gateway.recording.xdf.report_text import finite, printable
 from biosensor_gateway.recording.xdf.salvage.survey import (
     Break,
     KeptStream,
@@ -34,7 +35,6 @@ from biosensor_gateway.recording.xdf.salvage.survey import (
     Survey,
     survey,
 )
-from biosensor_gateway.recording.xdf.writing import footer
 from biosensor_gateway.system.new_file import new_file
 
 SUFFIX = ".xdf"

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from biosensor_gateway.recording.xdf.chunks import samples
 from biosensor_gateway.recording.xdf.container import (
     STREAM_ID_BYTES,
     Chunk,
@@ -25,13 +26,12 @@ from biosensor_gateway.recording.xdf.container import (
     framed,
     read_chunks,
 )
+from biosensor_gateway.recording.xdf.figures import longest_step_s
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, NO_PAUSE_S
 from biosensor_gateway.recording.xdf.recording import NewHeader, StreamSorter
 from biosensor_gateway.recording.xdf.samples import Block, decode
 from biosensor_gateway.recording.xdf.sender_clock import is_reading
-from biosensor_gateway.recording.xdf.writing import samples
 
 # With fewer samples, garbage cannot be recognised.
 _FEWEST = 8

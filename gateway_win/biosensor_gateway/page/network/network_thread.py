@@ -23,9 +23,9 @@ from biosensor_common.lsl.sender_clocks import SenderClocks
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.downsampling import chosen, key_of, measured_rate, window
-from biosensor_gateway.page.live import Traces
+from biosensor_gateway.page.live_feed import Traces
 from biosensor_gateway.page.models import NetworkView
-from biosensor_gateway.page.network.stream import NetworkStream, Receiver
+from biosensor_gateway.page.network.network_stream import NetworkStream, Receiver
 from biosensor_gateway.page.network.stream_list import Inlets, StreamList
 from biosensor_gateway.page.network.view import Viewer
 from biosensor_gateway.settings.models import LslSettings

@@ -33,7 +33,7 @@ from biosensor_gateway.agent.status import (
     declared_streams,
 )
 from biosensor_gateway.devices.registry import sensor_title
-from biosensor_gateway.page.live import History, is_of_now
+from biosensor_gateway.page.live_feed import History, is_of_now
 from biosensor_gateway.page.models import DeviceView, SeenStreamView, StreamView
 from biosensor_gateway.system import state_file
 

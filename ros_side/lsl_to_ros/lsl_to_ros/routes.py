@@ -26,9 +26,9 @@ from lsl_to_ros.statistics.losses import NodeCounters, can_estimate_losses
 from lsl_to_ros.statistics.ros_time import RosTime, Stamping
 from lsl_to_ros.statistics.status import StreamStatus
 from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.lanes import Pacer
 from lsl_to_ros.topics.originals import BESIDE, ORIGINALS, Alone, Joined, Original, Shape
 from lsl_to_ros.topics.outputs import open_outputs
-from lsl_to_ros.topics.pacing import Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
 from lsl_to_ros.topics.writers import StreamContext
 

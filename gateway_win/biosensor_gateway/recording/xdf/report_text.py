@@ -11,8 +11,8 @@ from itertools import groupby
 from typing import Any, cast
 
 from biosensor_gateway.recording.xdf.explanations import EXPLANATIONS
+from biosensor_gateway.recording.xdf.figures import seconds_text
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level, by_event
-from biosensor_gateway.recording.xdf.measuring import seconds_text
 from biosensor_gateway.recording.xdf.report import Measured, Report
 
 _GAPS_SHOWN = 5

@@ -13,9 +13,9 @@ from pydantic import BaseModel, Field, StringConstraints, TypeAdapter
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.markers import MAX_TEXT, MAX_WEB_AGE_S
+from biosensor_gateway.agent.marker_commands import MAX_TEXT, MAX_WEB_AGE_S
 from biosensor_gateway.page.models import Body
-from biosensor_gateway.streaming.markers import MarkerKind, TimedBy, Timing
+from biosensor_gateway.streaming.marker_stream import MarkerKind, TimedBy, Timing
 
 _Text = Annotated[str, StringConstraints(max_length=MAX_TEXT)]
 _Milliseconds = Annotated[float, Field(allow_inf_nan=False, strict=False)]

@@ -14,6 +14,7 @@ import numpy as np
 from biosensor_common.errors import cannot_write
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.ros_clock import NS_PER_S, ClockPair
+from biosensor_gateway.recording.bag.bag_file import bag_files, read_bag
 from biosensor_gateway.recording.bag.headers import (
     STAMPED,
     TOPIC,
@@ -23,8 +24,12 @@ from biosensor_gateway.recording.bag.headers import (
     listed_facts,
     read_text,
 )
-from biosensor_gateway.recording.bag.opening import bag_files, read_bag
-from biosensor_gateway.recording.bag.streams import AnyTopic, NewStream, StampedTopic, StreamWriter
+from biosensor_gateway.recording.bag.topic_streams import (
+    AnyTopic,
+    NewStream,
+    StampedTopic,
+    StreamWriter,
+)
 from biosensor_gateway.recording.bag.types import (
     EVENT,
     SAMPLES,
@@ -37,7 +42,7 @@ from biosensor_gateway.recording.bag.types import (
     UnsuitableError,
 )
 from biosensor_gateway.recording.contents.wall_clock import WallClock
-from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.system.new_file import new_file
 
 _MOST_STREAMS = 10_000
@@ -123,7 +128,7 @@ class _Conversion:
         else:
             begun, wall = recorded.begun, recorded.wall
         self._wall = wall
-        writing.begin(self._file, begun, wall_pairs(wall), wall.resolution_s)
+        chunks.begin(self._file, begun, wall_pairs(wall), wall.resolution_s)
 
     @property
     def has_samples(self) -> bool:
@@ -201,7 +206,7 @@ class _Conversion:
         self._since_boundary += len(chunk)
         if self._since_boundary > _BOUNDARY_BYTES:
             self._since_boundary = 0
-            self._file.write(writing.boundary())
+            self._file.write(chunks.boundary())
 
 
 def wall_pairs(wall: WallClock) -> list[ClockPair]:

@@ -47,7 +47,7 @@ from biosensor_gateway.recording.export.exporter import (
     Progress,
     Times,
 )
-from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
+from biosensor_gateway.recording.export.mcap.bag_writer import Bag, new_bag
 from biosensor_gateway.recording.export.readme import write_readme
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 

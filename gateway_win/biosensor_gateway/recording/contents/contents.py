@@ -15,7 +15,7 @@ from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall
 from biosensor_gateway.recording.recorder.state import require_ended
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.event_rules import other_agent_told
-from biosensor_gateway.recording.xdf.measuring import cuts_of, first_of, is_exact, may_have_rate
+from biosensor_gateway.recording.xdf.figures import cuts_of, first_of, is_exact, may_have_rate
 from biosensor_gateway.recording.xdf.pace import Cuts, Pace, find_pace, rate_of
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, RateChange
 from biosensor_gateway.recording.xdf.recording import StreamSorter

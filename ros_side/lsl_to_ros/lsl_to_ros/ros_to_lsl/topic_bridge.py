@@ -15,8 +15,13 @@ from typing import Any, Generic, TypeVar
 from biosensor_common.errors import GatewayError
 from biosensor_common.refusal import Refusal, Refusals
 from biosensor_common.ros.layout import is_part
-from lsl_to_ros.ros_to_lsl.fields import FramedList, framed_list, frames_of, has_header, type_name
-from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
+from lsl_to_ros.ros_to_lsl.class_fields import (
+    FramedList,
+    framed_list,
+    frames_of,
+    has_header,
+    type_name,
+)
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.senders import MarkerSender, NumberSender, Sender, senders_for
 from lsl_to_ros.ros_to_lsl.stamps import (
@@ -28,6 +33,7 @@ from lsl_to_ros.ros_to_lsl.stamps import (
     doubt_of,
     worst_of,
 )
+from lsl_to_ros.ros_to_lsl.topic_outlets import MarkerOutlet, Origin, with_stamp
 from lsl_to_ros.statistics.ros_time import RosTime
 from lsl_to_ros.subscriber_thread import MessageInfo, RosMessage
 

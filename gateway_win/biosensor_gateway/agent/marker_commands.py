@@ -13,7 +13,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.refusal import Refusal
 from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.settings.models import MarkerSettings
-from biosensor_gateway.streaming.markers import (
+from biosensor_gateway.streaming.marker_stream import (
     Marker,
     MarkerKind,
     MarkerStream,

@@ -14,7 +14,7 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason, cannot_write
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import BATCH, Chosen, Selection, choose
-from biosensor_gateway.recording.contents.opening import Contents, open_ended, with_rates
+from biosensor_gateway.recording.contents.contents import Contents, open_ended, with_rates
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.exporter import (
     FORMATS,

@@ -24,13 +24,13 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.page.auth import MARKERS, ExperimentRules, Guard
 from biosensor_gateway.page.experiments.conversation import Conversation
-from biosensor_gateway.page.experiments.markers import NewMark, Sending, Sent, WebMark
+from biosensor_gateway.page.experiments.web_markers import NewMark, Sending, Sent, WebMark
 from biosensor_gateway.page.models import ExperimentsView, ExperimentView, Problem
 from biosensor_gateway.page.routes.api import misformed
 from biosensor_gateway.page.server import EXPERIMENTS, HOST, listening_at, served_alongside
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.models import WebMarkerSettings
-from biosensor_gateway.streaming.markers import TimedBy, Timing
+from biosensor_gateway.streaming.marker_stream import TimedBy, Timing
 from biosensor_gateway.system import state_file
 
 LOOK_S = 1.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_gateway.recording.xdf.figures import longest_step_s
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import longest_step_s
 from biosensor_gateway.recording.xdf.pace import Cuts
 
 

@@ -40,7 +40,7 @@ from biosensor_gateway.recording.bag.types import (
     Topic,
     UnsuitableError,
 )
-from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 from biosensor_gateway.recording.xdf.samples import Texts
@@ -99,7 +99,7 @@ class StreamWriter:
         self.first = self.last = 0.0
         self.sample_count = 0
         self.clock_offsets: list[tuple[float, float]] = []  # Those written to the file.
-        write(writing.stream_header(number, xml))
+        write(chunks.stream_header(number, xml))
 
     def add(self, times: NDArray[np.float64], values: NDArray[Any] | Texts) -> None:
         """Add samples.
@@ -141,14 +141,14 @@ class StreamWriter:
             self.first = float(stamps[0])
         self.last = float(stamps[-1])
         self.sample_count += len(stamps)
-        self._write(writing.samples(self.number, self._form, stamps, values))
+        self._write(chunks.samples(self.number, self._form, stamps, values))
 
     def end(self) -> None:
         """Write the remaining samples and the footer."""
         self.flush()
         if self._due is not None:
             self._tell_clock(0.0, math.inf)
-        self._write(writing.footer(self.number, self))
+        self._write(chunks.footer(self.number, self))
 
     def _tell_clock(self, first: float, until: float) -> None:
         if self._due is not None:
@@ -165,7 +165,7 @@ class StreamWriter:
 
     def _tell(self, taken_at: float, offset: float) -> None:
         self.clock_offsets.append((taken_at, offset))
-        self._write(writing.clock_offset(self.number, taken_at, offset))
+        self._write(chunks.clock_offset(self.number, taken_at, offset))
 
 
 def _in_order(offsets: Sequence[Offset]) -> list[tuple[float, Offset]]:
