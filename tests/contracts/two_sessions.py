@@ -26,7 +26,7 @@ from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import READ_TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.page.network.network_thread import Reader
-from biosensor_gateway.recording.recorder import receiver, request, streams
+from biosensor_gateway.recording.recorder import presence, receiver, request
 from biosensor_gateway.recording.recorder.programs import predicate
 from biosensor_gateway.recording.replay.playback import refuse_if_present
 from biosensor_gateway.recording.replay.source import ReplayError
@@ -147,7 +147,7 @@ CASES: dict[str, Callable[[], None]] = {
     "the node, of two types": lambda: _discover("type='none' or type='PPG'"),
     "the node, of ros_to_lsl": lambda: _discover("desc/ros or true()"),
     "ros_to_lsl, outlets elsewhere": lambda: _watch(begins_with("source_id", "PPG")),
-    "before a recording": _again(lambda: streams._search(frozenset())),
+    "before a recording": _again(lambda: presence._search(frozenset())),
     "the recorder, all streams": _again(lambda: pylsl.resolve_bypred(EVERYTHING)),
     "the recorder, only ours": _again(_recorder_of_ours),
     "our own recorder": _own_recorder,

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from biosensor_common import child
-from biosensor_common.doctor import computer, firewall, network, windows_firewall
+from biosensor_common.doctor import computer, firewall, interfaces, windows_firewall
 from biosensor_common.doctor.check import Finding, Level
 from biosensor_common.doctor.interfaces import Interface
 from biosensor_common.doctor.windows_firewall import Network
@@ -295,8 +295,8 @@ def show(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) ->
     """Examine a computer that has these adapters, and multicast leaves through that address."""
 
     def examined(*adapters: Interface, way: str = "") -> list[Finding]:
-        monkeypatch.setattr(network, "adapters", lambda: list(adapters))
-        monkeypatch.setattr(network, "route", lambda: way)
+        monkeypatch.setattr(interfaces, "adapters", lambda: list(adapters))
+        monkeypatch.setattr(interfaces, "route", lambda: way)
         return examine(context, "interfaces")
 
     return examined
@@ -305,7 +305,7 @@ def show(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.nightly
 def test_this_computer_is_described(examine: Examine, context: Context) -> None:
     assert examine(context, "interfaces")
-    assert "127.0.0.1" in [each for one in network.adapters() for each in one.addresses]
+    assert "127.0.0.1" in [each for one in interfaces.adapters() for each in one.addresses]
 
 
 @pytest.mark.nightly

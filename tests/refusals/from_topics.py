@@ -12,7 +12,7 @@ import pytest
 from rclpy.qos import QoSProfile
 
 from biosensor_common.refusal import Refusal, Refusals
-from lsl_to_ros.ros_to_lsl import outlets, topic_bridge
+from lsl_to_ros.ros_to_lsl import topic_bridge, topic_outlets
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.class_fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Topic
@@ -28,7 +28,7 @@ STRING = message_class("std_msgs/msg/String")
 
 
 def sent(patch: pytest.MonkeyPatch, kind: Any, *messages: Any) -> Sent:
-    patch.setattr(outlets, "LslOutlet", Outlet)
+    patch.setattr(topic_outlets, "LslOutlet", Outlet)
     topic = Sent("/topic", kind)
     for number, message in enumerate(messages):
         topic.take(message, 10 * number)

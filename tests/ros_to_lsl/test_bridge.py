@@ -13,7 +13,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from rosidl_parser import definition
 
-from lsl_to_ros.ros_to_lsl import outlets, topic_bridge
+from lsl_to_ros.ros_to_lsl import topic_bridge, topic_outlets
 from lsl_to_ros.ros_to_lsl.class_fields import message_class, type_name
 from lsl_to_ros.ros_to_lsl.graph import Topic
 from lsl_to_ros.ros_to_lsl.parameters import SendAs, TopicRequest
@@ -126,7 +126,7 @@ class Sent:
 @pytest.fixture(autouse=True)
 def kept(monkeypatch: pytest.MonkeyPatch) -> None:
     opened.clear()
-    monkeypatch.setattr(outlets, "LslOutlet", Outlet)
+    monkeypatch.setattr(topic_outlets, "LslOutlet", Outlet)
 
 
 def transform(parent: str, child: str, x: float, at_ms: int = 0) -> Any:

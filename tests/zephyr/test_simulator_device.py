@@ -25,7 +25,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     Waveform,
 )
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
-from biosensor_gateway.devices.zephyr.simulator import RecordedZephyr, recording
+from biosensor_gateway.devices.zephyr.simulator import RecordedZephyr, recorded_bioharness
 from biosensor_gateway.devices.zephyr.simulator.recorded_bioharness import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
@@ -141,7 +141,7 @@ async def test_while_it_hangs_up_connections_are_refused(device: SteeredBioHarne
 
 # What the driver makes of the shipped recording, as it is and with its numbers spoilt.
 
-FOLDER = Path(recording.__file__).parent / "recordings"
+FOLDER = Path(recorded_bioharness.__file__).parent / "recordings"
 NAME = "zephyr_bh3_2012-09-26_150s"
 NUMBERS = {"hr": "heart_rate_bpm", "hrv": "hrv_ms", "st": "skin_temperature_c"}
 
