@@ -394,11 +394,11 @@ _PATTERNS = (
     f"{_NODE}/routes.py",
     f"{_NODE}/subscriber_thread.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
-        "application", "bridge", "graph", "node", "outlets", "reports",
-        "senders", "stamps",
+        "application", "graph", "node", "reports", "senders", "stamps",
+        "topic_bridge", "topic_outlets",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
-        "markers", "outlets", "silence", "sink", "stages",
+        "marker_stream", "outlets", "silence", "sink", "stages",
     )),
     f"{_AGENT}/streaming/events/*.py",
     f"{_AGENT}/agent/marker_commands.py",
@@ -407,7 +407,7 @@ _PATTERNS = (
     f"{_AGENT}/page/network/*.py",
     f"{_AGENT}/captures/*.py",
     *(f"{_AGENT}/recording/recorder/{each}.py" for each in (
-        "live_file", "program", "receiver", "recording_file", "streams",
+        "live_file", "presence", "programs", "receiver", "recording_file",
     )),
 )  # fmt: skip
 _DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*.py")

@@ -429,7 +429,7 @@ class EventLog:
         self._gone: dict[DeviceIdentity, float] = {}
         """Recorded devices that the agent has no longer, as after a restart, and since when."""
         self.refused: dict[str, list[str]] = {}
-        """What was refused or left out since the begin, by device; empty for the agent itself."""
+        """What was refused or left out since the start, by device; empty for the agent itself."""
         # On the clock of the events; the first event if it is unknown.
         self._begin_s = begin_s
         self._agents: list[_AgentRun] = []
