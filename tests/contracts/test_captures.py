@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity, SensorSpec
 from biosensor_gateway.captures.file import Capture, packed, read
-from biosensor_gateway.captures.recorder import Recorder, taken
+from biosensor_gateway.captures.recorder import taken
 from biosensor_gateway.captures.redaction import LEAST_SEARCHED
 from biosensor_gateway.captures.replay import ReplaySink, Report, replay
 from biosensor_gateway.devices.registry import driver
@@ -22,7 +22,7 @@ from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.system.clock import Clock
-from biosensor_gateway.transports.tap import tapped
+from biosensor_gateway.transports.tap import Tap, tapped
 from tests.contracts.conftest import NAMES, class_of
 from tests.rigs.driver_run import streaming
 
@@ -60,20 +60,20 @@ class Kept:
 
 async def captured(device: VirtualDevice, *faults: Fault, seconds: float = SECONDS) -> Captured:
     """Capture a device for some seconds, with faults in the middle."""
-    recorder, kept = Recorder(device.world.clock), Kept()
-    with tapped(recorder):
+    tap, kept = Tap(device.world.clock), Kept()
+    with tapped(tap):
         async with streaming(device) as run:
             run.sink.tap = kept.take
             await asyncio.sleep(seconds / 2)
             for fault in faults:
                 device.apply(fault)
             await asyncio.sleep(seconds / 2)
-            recorder.end()
+            tap.end()
             run.sink.tap = None
             lost = run.lost
     fields = {"sensor": device.sensor, "unit": "SECRET1", **device.settings}
     settings = driver(device.sensor).settings.model_validate(fields)
-    return Captured(taken(recorder, settings, DeviceTest(info=run.sink.info)).capture, kept, lost)
+    return Captured(taken(tap, settings, DeviceTest(info=run.sink.info)).capture, kept, lost)
 
 
 class Captured:
