@@ -62,6 +62,30 @@ def test_the_next_try_begins_with_an_empty_file(
     assert sizes == [0, 0]
 
 
+@pytest.mark.parametrize(
+    ("has_begun", "last"), [(True, "waiting for P01-a"), (False, "no such library")]
+)
+def test_what_does_not_begin_in_time_tells_its_own_last_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_begun: bool, last: str
+) -> None:
+    def launch(state: Path) -> None:
+        folder = RecorderFolder(state)
+        folder.supervisor_log.write_text("no such library\n")
+        folder.output.write_text("waiting for P01-a\n")
+        if has_begun:
+            folder.save(replace(folder.requested(), started=time.time()))
+
+    monkeypatch.setattr(local, "launch", launch)
+    for limit in ("PROGRAM_S", "LAST_PROGRAM_S", "_SUPERVISOR_S"):
+        monkeypatch.setattr(local, limit, 0.0)
+    with pytest.raises(RecorderError, match=f"its last output was: {last}"):
+        begin(
+            local.LocalRecorder(tmp_path / "state"),
+            RecordingRequest(file=tmp_path / "a.xdf"),
+            Presence((VisibleStream("a", "a-id", "here"),), (), ()),
+        )
+
+
 @pytest.mark.parametrize("is_ours", [True, False])
 def test_an_agent_in_another_session_is_not_recorded(tmp_path: Path, is_ours: bool) -> None:
     """There, streams of the same source_ids are another group's."""
