@@ -12,15 +12,13 @@ from collections.abc import Coroutine, Iterable, Mapping, Sequence
 from enum import IntEnum
 from itertools import count
 from types import MappingProxyType
-from typing import NamedTuple, Unpack
+from typing import NamedTuple
 
 import numpy as np
 
 from biosensor_gateway.devices.muse.simulator.headband import ATHENA, Headband, uuid
-from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
+from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats
-from biosensor_gateway.simulation.world import World
 
 DATA_UUIDS = (uuid(0x13), uuid(0x14))
 
@@ -170,28 +168,8 @@ class SimulatedAthena(Headband):
     protocol = 4
     start = "dc001"
     presets = frozenset(_PRESETS)
-
-    def __init__(
-        self,
-        world: World,
-        radio: Radio,
-        *,
-        address: str = "00:55:DA:B9:FA:20",
-        serial: str = "7001-FA20-0001",
-        rssi_dbm: int = -57,
-        patience_s: float = 120.0,
-        **specimen: Unpack[SpecimenOptions],
-    ) -> None:
-        super().__init__(
-            world,
-            radio,
-            address=address,
-            serial=serial,
-            rssi_dbm=rssi_dbm,
-            patience_s=patience_s,
-            **specimen,
-        )
-        self._offer(DATA_UUIDS)
+    usual = "00:55:DA:B9:FA:20", "7001-FA20-0001"
+    sends_on = DATA_UUIDS
 
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:
         yield self._send_all()

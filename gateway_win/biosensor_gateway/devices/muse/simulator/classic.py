@@ -10,10 +10,15 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from biosensor_gateway.devices.muse.simulator.headband import CLASSIC, Headband, uuid
+from biosensor_gateway.devices.muse.simulator.headband import (
+    CLASSIC,
+    Headband,
+    HeadbandOptions,
+    uuid,
+)
 from biosensor_gateway.simulation.faults import FaultKind, lasting
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.virtual_device import Filled, SpecimenOptions
+from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.simulation.world import World
 
@@ -111,39 +116,26 @@ class SimulatedMuse(Headband):
     protocol = 1
     start = "d"
     presets = frozenset({"p20", "p21", "p22", "p50", "p51", "p60", "p61"})
+    usual = "00:55:DA:B0:3A:1F", "4021-3A1F-0001"
+    sends_on = (
+        *EEG_UUIDS.values(),
+        AUX_UUID,
+        GYRO_UUID,
+        ACC_UUID,
+        TELEMETRY_UUID,
+        *LIGHT_UUIDS.values(),
+    )
 
     def __init__(
         self,
         world: World,
         radio: Radio,
         *,
-        address: str = "00:55:DA:B0:3A:1F",
-        serial: str = "4021-3A1F-0001",
         motion_deviation: float = 0.0,
-        rssi_dbm: int = -57,
-        patience_s: float = 120.0,
-        **specimen: Unpack[SpecimenOptions],
+        **more: Unpack[HeadbandOptions],
     ) -> None:
-        super().__init__(
-            world,
-            radio,
-            address=address,
-            serial=serial,
-            rssi_dbm=rssi_dbm,
-            patience_s=patience_s,
-            **specimen,
-        )
+        super().__init__(world, radio, **more)
         self._motion_hz = _MOTION_HZ * (1 + motion_deviation)
-        self._offer(
-            [
-                *EEG_UUIDS.values(),
-                AUX_UUID,
-                GYRO_UUID,
-                ACC_UUID,
-                TELEMETRY_UUID,
-                *LIGHT_UUIDS.values(),
-            ]
-        )
 
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:
         yield self._send_all(_Source(_EEG_HZ, EEG_COUNT, self._eeg))

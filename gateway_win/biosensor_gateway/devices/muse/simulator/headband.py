@@ -172,6 +172,15 @@ class _Signals:
         return np.stack([self._wearer.noise(t, 0.5, f"gyro{axis}") for axis in "xyz"], axis=1)
 
 
+class HeadbandOptions(SpecimenOptions, total=False):
+    """The parameters of a `Headband`, for constructors that pass them on."""
+
+    address: str
+    serial: str
+    rssi_dbm: int
+    patience_s: float
+
+
 class Headband(RadioDevice):
     """A headband with its radio, which streams on command.
 
@@ -182,7 +191,7 @@ class Headband(RadioDevice):
     address
         Bluetooth address; its last four digits form the name.
     serial
-        Serial number; its first digit identifies the model.
+        Serial number; its first digit identifies the model. Both as usual by default.
     rssi_dbm
         Signal strength as received.
     patience_s
@@ -200,6 +209,10 @@ class Headband(RadioDevice):
     start: ClassVar[str]
     """The command that begins the stream."""
     presets: ClassVar[frozenset[str]]
+    usual: ClassVar[tuple[str, str]]
+    """Its address and serial number."""
+    sends_on: ClassVar[Sequence[str]]
+    """UUIDs of the characteristics that notify."""
     deniable: ClassVar[Sequence[str]] = ()
     """Characteristics that are refused, one at a time."""
 
@@ -208,12 +221,13 @@ class Headband(RadioDevice):
         world: World,
         radio: Radio,
         *,
-        address: str,
-        serial: str,
+        address: str = "",
+        serial: str = "",
         rssi_dbm: int = -57,
         patience_s: float = 120.0,
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
+        address = address or self.usual[0]
         self._number = address.replace(":", "")[-4:]
         name = f"{self.kind}-{self._number}"
         super().__init__(
@@ -221,7 +235,7 @@ class Headband(RadioDevice):
             Peripheral(radio, address, name, service_uuids=[SERVICE], rssi_dbm=rssi_dbm),
             **specimen,
         )
-        self._serial = serial
+        self._serial = serial or self.usual[1]
         self._signals = _Signals(self.specimen.wearer)
         self._patience_s = patience_s
         self._percent, self._preset = 87.0, "p21"
@@ -229,7 +243,10 @@ class Headband(RadioDevice):
         self._refuses = self._is_unreadable = self._glues = False
         self._measuring: list[asyncio.Task[None]] = []
         self._heard_s = 0.0
-        self._characteristics: dict[str, Characteristic[bytes]] = {}
+        self._characteristics = {
+            each: Characteristic[bytes](each, _P.NOTIFY, Attribute.Permissions.READABLE, b"")
+            for each in self.sends_on
+        }
         self._control = Characteristic[bytes](
             CONTROL,
             _P.NOTIFY | _P.WRITE | _P.WRITE_WITHOUT_RESPONSE,
@@ -249,13 +266,6 @@ class Headband(RadioDevice):
     @abstractmethod
     def _garbage(self, number: int) -> tuple[str, bytes]:
         """Return an invalid notification and its characteristic."""
-
-    def _offer(self, uuids: Iterable[str]) -> None:
-        """Add notifying characteristics."""
-        for uuid in uuids:
-            self._characteristics[uuid] = Characteristic[bytes](
-                uuid, _P.NOTIFY, Attribute.Permissions.READABLE, b""
-            )
 
     async def _start(self) -> None:
         self._signals.origin_s = self.world.clock()
