@@ -244,6 +244,8 @@ def test_a_file_that_rests_is_said(written: Written) -> None:
         (60.0, 10.0, []),
         # The clock of a file server is behind, or the program took long to begin.
         (12.0, 40.0, []),
+        # The clock was set back by 60 s since.
+        (60.0, -60.0, ["still"]),
     ],
 )
 def test_that_a_file_rests_is_said_at_the_first_look_too(
@@ -298,6 +300,21 @@ def _beat(at: float, started: float = 900.0, session: str = "") -> dict[str, obj
     clock = {"lsl_s": at, "unix_ns": round((UNIX_S + at) * 1e9)}
     told = heartbeat(polar_h10__A1="streaming", polar_h10__A2="streaming")
     return told | {"agent_started": started, "lsl_time": at, "clock": clock, "session": session}
+
+
+def test_a_clock_that_is_set_and_a_sleep_are_said(written: Written) -> None:
+    def later(at: float, by_s: float, started: float = 900.0) -> dict[str, object]:
+        clock = {"lsl_s": at, "unix_ns": round((UNIX_S + at + by_s) * 1e9)}
+        return {**_beat(at, started), "clock": clock}
+
+    written.write(_recording(_told(_beat(1001.0), later(1006.0, 0.004), later(1011.0, 20.0))))
+    (found,) = written.growth.clock_set()
+    assert (found.level, found.code) == (Level.WARNING, "clock-set")
+    assert "it slept for 20.0 s, or its clock was set forward by that" in found.text
+    # Another start of the agent, maybe after one of the computer.
+    written.write(_told(later(1016.0, -50.0), later(1021.0, 0.0, 1017.0)))
+    texts = [each.text for each in written.growth.clock_set()]
+    assert len(texts) == 2 and "its clock was set back by 70.0 s" in texts[1]
 
 
 def _acc(stream: int, *runs: tuple[float, float]) -> bytes:

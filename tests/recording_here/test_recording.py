@@ -6,6 +6,7 @@ import json
 import resource
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -39,10 +40,12 @@ from biosensor_gateway.recording.xdf.findings import Level, by_event
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.lab_recorder.conftest import CommandLine, Outcome
 from tests.recording_here.conftest import Sources, begin, only
+from tests.rigs.compiler import compile_c
 from tests.rigs.polling import wait_until
 
 pytestmark = pytest.mark.nightly
 
+SHIFTED_CLOCK = Path(__file__).parents[1] / "rigs" / "shifted_clock.c"
 BIDS = BidsLabels("P07", task="Walk")
 NAME = "sub-P07/ses-S001/beh/sub-P07_ses-S001_task-Walk_run-{run:03}_beh.xdf"
 
@@ -140,6 +143,40 @@ def test_a_stream_that_appears_later_is_not_in_it_which_is_said_unless_it_was_no
         (found,) = late
         assert found.text.startswith("markers (")
         assert "appeared after the recording began, and is not in it" in found.text
+
+
+def test_a_clock_that_is_set_back_is_said(
+    sources: Sources, state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library, shift = tmp_path / "shifted_clock.so", tmp_path / "shift"
+    compile_c(SHIFTED_CLOCK, library, "-shared", "-fPIC")
+    shift.write_bytes(struct.pack("q", 0))
+    recording = LocalRecorder(state)
+    with monkeypatch.context() as shifted:
+        shifted.setenv("LD_PRELOAD", str(library))
+        shifted.setenv("SHIFT_FILE", str(shift))
+        begin(recording, request_of(tmp_path), sources.presence())
+    wait_until(lambda: codes(recording) == {}, "both are recorded")
+
+    def set_clock(by_s: int) -> None:
+        # In place, because the programs have mapped it.
+        with shift.open("r+b") as file:
+            file.write(struct.pack("q", by_s * 1_000_000_000))
+
+    def steps() -> list[str]:
+        found = standing(recording).problems
+        return [each.text for each in found if each.code == "clock-set"]
+
+    set_clock(-1000)
+    wait_until(steps, "it is said")
+    # LabRecorder's program waits for the time of day that it had.
+    set_clock(0)
+    wait_until(lambda: len(steps()) == 2, "both are said")
+    ended = recording.stop()
+    texts = [each.text for each in ended.verdict.findings if each.code == "clock-set"]
+    assert "set back by 1000.0 s" in texts[0]
+    assert "slept for 1000.0 s, or its clock was set forward by that" in texts[1]
+    assert ended.verdict.colour is Colour.AMBER
 
 
 def test_a_program_that_is_started_again_without_a_source_id_is_not_in_it(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import sys
 import time
 from collections.abc import Generator
 from dataclasses import replace
@@ -19,6 +21,7 @@ from biosensor_gateway.recording.recorder import local
 from biosensor_gateway.recording.recorder.live_file import Growth
 from biosensor_gateway.recording.recorder.local import LocalRecorder
 from biosensor_gateway.recording.recorder.presence import Presence, doubles, expected_devices
+from biosensor_gateway.recording.recorder.programs import ClockWatch
 from biosensor_gateway.recording.recorder.recording_file import FileSummary, summarize
 from biosensor_gateway.recording.recorder.request import (
     RecorderError,
@@ -26,7 +29,12 @@ from biosensor_gateway.recording.recorder.request import (
     RecordingRequest,
     VisibleStream,
 )
-from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording, lost_by_start
+from biosensor_gateway.recording.recorder.state import (
+    ClockStep,
+    RecorderFolder,
+    SavedRecording,
+    lost_by_start,
+)
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
@@ -194,6 +202,10 @@ class Running:
         """Note that the user was asked, and does without these."""
         self._recorder.save(replace(self._saved, without=sources))
 
+    def has_steps(self, *steps: ClockStep) -> None:
+        """Note that the computer's clock was set."""
+        self._recorder.save(replace(self._saved, clock_steps=steps))
+
     def findings(self, devices: list[dict[str, Any]] | None) -> list[tuple[Level, str, str]]:
         standing = self._recording.status(devices)
         assert standing is not None
@@ -215,6 +227,42 @@ def test_a_pause_is_amber_with_its_sentence_and_its_streams_are_not_red(running:
     ((level, code, text),) = running.findings(devices)
     assert (level, code) == (Level.WARNING, "away")
     assert "P03's" in text and "is paused since" in text
+
+
+@pytest.mark.parametrize(
+    ("by_s", "level", "said"),
+    [
+        (-60.0, Level.ERROR, "set back by 60.0 s, .* writes nothing until .*: stop it only then"),
+        (-3600.0, Level.ERROR, "set back by 3600.0 s, .*: stop, and record again"),
+        (20.0, Level.WARNING, "slept for 20.0 s, or its clock was set forward by that"),
+    ],
+)
+def test_a_step_of_the_clock_is_said_and_what_labrecorder_makes_of_it(
+    running: Running, monkeypatch: pytest.MonkeyPatch, by_s: float, level: Level, said: str
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    running.has_steps(ClockStep(time.time() - 1.0, by_s))
+    told = running.findings([device("one-id"), device("two-id")])
+    ((found, text),) = ((each, text) for each, code, text in told if code == "clock-set")
+    assert found == level
+    assert re.search(said, text), text
+
+
+def test_steps_of_the_clock_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    day, since_boot = [1.8e9], [500.0]
+    monkeypatch.setattr(time, "time", lambda: day[0])
+    monkeypatch.setattr(time, "monotonic", lambda: since_boot[0])
+    clock = ClockWatch()
+    steps: list[ClockStep] = []
+    # What a time service slews, a step back, an hour of work, and a sleep.
+    for passed_s, by_s in ((0.1, 0.01), (0.1, -90.0), (3600.0, 0.0), (0.1, 25.0)):
+        since_boot[0] += passed_s
+        day[0] += passed_s + by_s
+        if found := clock.step():
+            steps.append(found)
+    assert [round(each.by_s, 3) for each in steps] == [-90.0, 25.0]
+    saved = SavedRecording("a.xdf", (), 1.8e9, clock_steps=tuple(steps))
+    assert day[0] - saved.began == pytest.approx(3600.31)
 
 
 def test_who_was_away_before_it_began_is_amber(running: Running) -> None:

@@ -476,6 +476,21 @@ def test_sensors_that_another_agent_does_not_have_were_not_removed(
     assert told & {"another-agent", "removed"} == {"another-agent" if is_other else "removed"}
 
 
+def test_a_step_of_the_time_of_day_between_two_heartbeats_is_amber() -> None:
+    def beat(at: float, by_s: float) -> dict[str, object]:
+        clock = {"lsl_s": at, "unix_ns": round((1.8e9 + at + by_s) * 1e9)}
+        return heartbeat(**STREAMING) | {"agent_started": 900.0, "lsl_time": at, "clock": clock}
+
+    told = ((1001.0, 0.0), (1006.0, -90.0), (1011.0, -90.0), (1016.0, -65.0))
+    events: list[object] = [beat(*each) for each in told]
+    report = judged("P01", strap("P01"), events=events)
+    texts = [each.text for each in report.findings if each.code == "clock-set"]
+    assert len(texts) == 2
+    assert ": between 1.0 s and 6.0 s its clock was set back by 90.0 s" in texts[0]
+    assert "between 11.0 s and 16.0 s it slept for 25.0 s, or" in texts[1]
+    assert verdict(report).colour is Colour.AMBER
+
+
 def told_recording(events: Sequence[object], *stamps: float) -> bytes:
     """Return a recording of a strap's acceleration, and what its agent tells."""
     texts = [[json.dumps(each)] for each in events]

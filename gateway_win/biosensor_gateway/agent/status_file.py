@@ -45,7 +45,8 @@ def read_status(folder: Path) -> dict[str, Any]:
     path = folder / STATUS_FILE
     try:
         status: dict[str, Any] = json.loads(state_file.read(path))
-        age = time.time() - float(status["written"])
+        # One from the future was written before the clock was set back, and not since.
+        age = abs(time.time() - float(status["written"]))
         status["devices"] = list(status["devices"])
     except (FileNotFoundError, NotADirectoryError) as error:
         if _is_held(folder):

@@ -298,7 +298,7 @@ class Recorder:
                 "busy": "ending" if is_ending else "",
                 "file": str(standing.file),
                 "started": standing.started,
-                "elapsed_s": max(0.0, time.time() - standing.started),
+                "elapsed_s": max(0.0, standing.elapsed_s or 0.0),
                 "bytes": 0 if sight is None else sight.bytes,
                 "streams": 0 if sight is None else len(sight.streams),
                 "colour": "red" if problems else "amber" if notes else "green",

@@ -34,6 +34,7 @@ from biosensor_gateway.recording.xdf.event_rules import (
     EventLog,
     Spell,
     are_within,
+    clock_set_text,
     split_pauses,
 )
 from biosensor_gateway.recording.xdf.figures import (
@@ -409,8 +410,8 @@ class Growth:
     clock
         Any clock in s, to measure how long the file stays unchanged.
     began
-        Unix time at which the recording began, to find out at the first look for how long the file
-        had not grown before; None if it is watched from its start.
+        Unix time at which the recording began, by the clock as it is now, to find out at the first
+        look for how long the file had not grown before; None if it is watched from its start.
     unix_time
         The clock of files.
     """
@@ -461,7 +462,9 @@ class Growth:
         with suppress(OSError):
             # Either alone may be wrong: a file server has its own clock, and computers sleep.
             unchanged_s = now - self._file.stat().st_mtime
-            return max(0.0, min(unchanged_s, now - began - self._length_s))
+            # A file of the future is from before the clock was set back.
+            known_s = unchanged_s if unchanged_s >= 0 else math.inf
+            return max(0.0, min(known_s, now - began - self._length_s))
         return 0.0
 
     def problems(
@@ -497,6 +500,7 @@ class Growth:
             As for `other_agents`.
         """
         yield from self.other_agents(source_id, own_started_s)
+        yield from self.clock_set()
         yield from self.gone()
         yield from self.gaps()
         yield from self.was_away()
@@ -529,6 +533,17 @@ class Growth:
                 yield Finding(Level.WARNING, "refused", stream.header.title, each)
             if flat := stream.constants.found:
                 yield Finding(Level.WARNING, "flat", stream.header.title, flat_text(flat))
+
+    def clock_set(self) -> Iterator[Finding]:
+        """Yield when the computers of agents slept, or their clocks were set."""
+        logs = [(each.header, each.log) for each in self._streams.values() if each.log]
+        for header, log in logs:
+            for each in log.clock_steps:
+                host = header.hostname or "the agent's computer"
+                text = (
+                    f"{host}: before {_clock_time(each.until_s, log)} {clock_set_text(each.by_s)}"
+                )
+                yield Finding(Level.WARNING, "clock-set", "", text)
 
     def gone(self) -> Iterator[Finding]:
         """Yield devices that their agent no longer has, as after a restart with other settings."""

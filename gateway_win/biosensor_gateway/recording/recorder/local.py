@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -24,6 +25,7 @@ from biosensor_common.lsl.api_file import (
     known_peers,
 )
 from biosensor_common.lsl.predicates import EVERYTHING
+from biosensor_gateway.agent.device_states import clock_time
 from biosensor_gateway.recording.recorder.live_file import GONE, Growth
 from biosensor_gateway.recording.recorder.presence import (
     Devices,
@@ -63,8 +65,9 @@ from biosensor_gateway.recording.recorder.request import (
     VisibleStream,
     local_files,
 )
-from biosensor_gateway.recording.recorder.state import RecorderFolder, SavedRecording
+from biosensor_gateway.recording.recorder.state import LAB_RECORDER, RecorderFolder, SavedRecording
 from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.event_rules import clock_set_text
 from biosensor_gateway.recording.xdf.findings import Finding, Level, late_streams
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import ExpectedStream, Verdict, check
@@ -84,6 +87,8 @@ _MARGIN_S = 10.0
 _STILL_S = 0.5
 _CLOSING_S = 30.0
 _LEAST_FREE_BYTES = 10_000_000
+# How long LSL keeps samples for LabRecorder's program.
+_KEPT_S = 360.0
 _NO_STREAM_CODE = 2
 # Errors after which another program may succeed.
 _OF_THE_PROGRAM = frozenset({RecorderReason.NOT_BEGUN, RecorderReason.STREAMS_MISSING})
@@ -194,7 +199,7 @@ class LocalRecorder:
         if saved is None:
             return None
         self._seen = saved
-        growth = self._growth_of(Path(saved.file), saved.started)
+        growth = self._growth_of(saved)
         problem = "" if is_running else saved.problem or self._why_it_ended(saved.ended)
         findings = [Finding(Level.ERROR, "ended", "", problem)] if problem else []
         try:
@@ -215,12 +220,15 @@ class LocalRecorder:
             findings += growth.problems(saved.required, silent)
             findings += growth.story(own_events(), agent_started_s)
             findings += late_streams(saved.late, {(e.name, e.source_id) for e in streams})
+            if "clock-set" not in {each.code for each in findings}:
+                findings += _clock_set(saved)
             findings.sort(key=lambda each: list(Level).index(each.level))
         return LocalStatus(
             by=By.GATEWAY,
             recording=is_running,
             file=Path(saved.file),
             started=saved.started,
+            elapsed_s=time.time() - saved.began,
             bytes=0 if progress is None else progress.bytes,
             streams=len(streams),
             with_samples=sum(each.samples > 0 for each in streams),
@@ -247,7 +255,8 @@ class LocalRecorder:
     def _check(self, saved: SavedRecording) -> Verdict:
         expected = [ExpectedStream(each, each) for each in saved.required]
         notes = ProgramOutput(self._folder.printed()).notes
-        return check(Path(saved.file), expected, saved.without, notes, saved.late)
+        steps = tuple(_clock_set(saved))
+        return check(Path(saved.file), expected, saved.without, notes, saved.late, steps)
 
     def stop(self) -> LocalStopped:
         """Stop the recording, wait until its file is closed, and check it; takes some seconds.
@@ -298,9 +307,10 @@ class LocalRecorder:
             warnings=tuple(_warnings(saved)),
         )
 
-    def _growth_of(self, file: Path, started: float) -> Growth:
-        if self._growth is None or self._growth[:2] != (file, started):
-            self._growth = (file, started, Growth(file, began=started))
+    def _growth_of(self, saved: SavedRecording) -> Growth:
+        file = Path(saved.file)
+        if self._growth is None or self._growth[:2] != (file, saved.started):
+            self._growth = (file, saved.started, Growth(file, began=saved.began))
         return self._growth[2]
 
     def _why_it_ended(self, ended: float) -> str:
@@ -560,6 +570,23 @@ def _wait_for_program(saved: SavedRecording) -> None:
         # Another process may have its id by now.
         if program.name().startswith(PROGRAM_NAME) or RECORD_STREAMS in program.cmdline():
             program.wait(END_S)
+
+
+def _clock_set(saved: SavedRecording) -> Iterator[Finding]:
+    """Report that this computer slept while it recorded, or that its clock was set."""
+    # The program sleeps until times of day; on other systems its library takes another clock.
+    can_wait = saved.recorder == LAB_RECORDER and sys.platform == "linux" and not saved.ended
+    for each in saved.clock_steps:
+        level, until = Level.WARNING, each.at - each.by_s
+        text = f"this computer: before {_at(each.at)} {clock_set_text(each.by_s)}"
+        if can_wait and until > time.time():
+            level, text = Level.ERROR, f"{text}; {LAB_RECORDER} writes nothing until {_at(until)}: "
+            text += "stop it only then" if -each.by_s < _KEPT_S else "stop, and record again"
+        yield Finding(level, "clock-set", "", text)
+
+
+def _at(unix_s: float) -> str:
+    return clock_time(unix_s, seconds=True)
 
 
 def _why_not_closed(saved: SavedRecording, seen: FileSummary) -> str:

@@ -44,9 +44,11 @@ from biosensor_gateway.recording.recorder.request import (
 from biosensor_gateway.recording.recorder.state import (
     LAB_RECORDER,
     OWN,
+    ClockStep,
     RecorderFolder,
     SavedRecording,
 )
+from biosensor_gateway.recording.xdf.findings import CLOCK_SET_S
 from biosensor_gateway.system import windows_session
 from biosensor_gateway.system.child import own_command, start_beside
 
@@ -309,6 +311,19 @@ def _sources_of_agent(state: Path) -> set[str]:
     return {source for device in status["devices"] for source in device["streams"]}
 
 
+class ClockWatch:
+    """Notices that the clock of this computer was set, or that the computer slept."""
+
+    def __init__(self) -> None:
+        self._read = time.time(), time.monotonic()
+
+    def step(self) -> ClockStep | None:
+        """Return the step since the last look; None if there was none."""
+        before, self._read = self._read, (time.time(), time.monotonic())
+        by_s = self._read[0] - before[0] - (self._read[1] - before[1])
+        return ClockStep(self._read[0], by_s) if abs(by_s) > CLOCK_SET_S else None
+
+
 class _Supervisor:
     def __init__(self, folder: RecorderFolder) -> None:
         self._folder, self._is_told_to_end = folder, False
@@ -323,11 +338,14 @@ class _Supervisor:
             return _NOT_RUN
         with process:
             self._folder.save(recording := replace(recording, program=process.pid))
-            watch = _Watch(self._folder, recording.visible or ())
+            watch, clock = _Watch(self._folder, recording.visible or ()), ClockWatch()
             if recording.visible is not None:
                 watch.start()
             while process.poll() is None and not self._is_to_end():
                 time.sleep(_POLL_S)
+                if step := clock.step():
+                    steps = (*recording.clock_steps, step)
+                    self._folder.save(recording := replace(recording, clock_steps=steps))
                 if watch.found != recording.late:
                     self._folder.save(recording := replace(recording, late=watch.found))
             if recording.visible is not None:

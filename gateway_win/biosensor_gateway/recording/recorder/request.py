@@ -361,6 +361,8 @@ class Status:
     recording: bool | None  # Whether it is running; None if unknown.
     file: Path | None  # None if unknown.
     started: float | None  # Unix time in s; None if unknown.
+    # Time since then, without the computer's sleep; None if unknown.
+    elapsed_s: float | None = None
     bytes: int = 0
     streams: int = 0
     with_samples: int = 0

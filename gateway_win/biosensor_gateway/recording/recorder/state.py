@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from filelock import FileLock, Timeout
 
@@ -39,6 +39,13 @@ _AT_ONCE = "at once"
 _DAMAGED = (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError)
 
 
+class ClockStep(NamedTuple):
+    """A step of the time of day against the monotonic clock: set, or the computer slept."""
+
+    at: float  # Unix time in s, by the clock after it.
+    by_s: float
+
+
 @dataclass(frozen=True, slots=True)
 class SavedRecording:
     """A recording made on this computer, as saved by its supervisor."""
@@ -57,6 +64,12 @@ class SavedRecording:
     # Streams that were visible at the start; None if later ones are left out on purpose.
     visible: tuple[VisibleStream, ...] | None = None
     late: tuple[VisibleStream, ...] = ()  # Streams that appeared since.
+    clock_steps: tuple[ClockStep, ...] = ()  # Steps of this computer's clock since.
+
+    @property
+    def began(self) -> float:
+        """Unix time of its start by the clock as it is now, in s; without sleep since."""
+        return self.started + sum(each.by_s for each in self.clock_steps)
 
     @classmethod
     def read(cls, path: Path) -> SavedRecording:
@@ -82,6 +95,9 @@ class SavedRecording:
             command=tuple(str(each) for each in content.get("command", ())),
             visible=None if visible is None else tuple(VisibleStream(**each) for each in visible),
             late=tuple(VisibleStream(**each) for each in content.get("late", ())),
+            clock_steps=tuple(
+                ClockStep(float(at), float(by_s)) for at, by_s in content.get("clock_steps", ())
+            ),
         )
 
 

@@ -14,8 +14,8 @@ from biosensor_common.plausible import finite
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device_states import CONNECTED, STATE_WORDS, device_name, holders
 from biosensor_gateway.recording.xdf.counters import newest_of_each_kind
-from biosensor_gateway.recording.xdf.figures import Gap, Gaps
-from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.figures import Gap, Gaps, seconds_text
+from biosensor_gateway.recording.xdf.findings import CLOCK_SET_S, Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
@@ -30,6 +30,8 @@ OF_ANOTHER_AGENT = (
 _MOST_SPELLS = 3
 _ESTIMATED, _MOST_STRAY = 1.02, 2
 """By how much, and by how many samples, a count of lost ones may exceed the estimate of gaps."""
+# The most that a time service slews a clock, in s per s.
+_MOST_SLEW = 1e-3
 _EDGE_S = 3.0
 """A device's last packet before a pause comes a while later, and after it 1 s is left out."""
 
@@ -68,7 +70,8 @@ def _agents(streams: Sequence[Measured], extent: Extent) -> Iterator[_Agent]:
 def judge_devices(streams: Sequence[Measured], extent: Extent) -> Iterator[Finding]:
     """Report devices of an agent that were not recorded, or not until the end."""
     for agent in _agents(streams, extent):
-        for rule in (_another_agent, _left_out, _removed, _jumped, _silent, _refused):
+        rules = (_another_agent, _left_out, _removed, _clock_set, _jumped, _silent, _refused)
+        for rule in rules:
             yield from rule(agent)
 
 
@@ -314,6 +317,26 @@ def _away(agent: _Agent, without: Collection[str]) -> Iterator[Absence]:
         yield Absence(finding, device, host, tuple(spells))
 
 
+def clock_set_text(by_s: float) -> str:
+    """Return what a step of a computer's time of day against its LSL clock, in s, means."""
+    by = seconds_text(abs(by_s), 1)
+    if by_s < 0:
+        return f"its clock was set back by {by}, so that times of day in exports jump"
+    return (
+        f"it slept for {by}, or its clock was set forward by that: if it slept, data is missing "
+        "without a gap in the timestamps"
+    )
+
+
+def _clock_set(agent: _Agent) -> Iterator[Finding]:
+    """Report that the computer of the agent slept, or that its clock was set."""
+    for each in agent.log.clock_steps:
+        host = agent.events.stream.header.hostname or "the agent's computer"
+        between = f"between {agent.at(each.since_s):.1f} s and {agent.at(each.until_s):.1f} s"
+        text = f"{host}: {between} {clock_set_text(each.by_s)}"
+        yield Finding(Level.WARNING, "clock-set", "", text)
+
+
 def _jumped(agent: _Agent) -> Iterator[Finding]:
     """Report when the timestamps of each recorded device were corrected by a jump."""
     for device, found in agent.log.noted[EventKind.CLOCK_REANCHORED].items():
@@ -408,6 +431,14 @@ class _AgentRun:
 _MOST_REFUSED = 20
 
 
+class ClockStep(NamedTuple):
+    """A step of the time of day against the LSL clock, between two heartbeats in LSL seconds."""
+
+    since_s: float
+    until_s: float
+    by_s: float
+
+
 class EventLog:
     """The state of an agent, as known from its events so far."""
 
@@ -434,6 +465,7 @@ class EventLog:
         self._begin_s = begin_s
         self._agents: list[_AgentRun] = []
         self._clock: tuple[float, float] | None = None
+        self.clock_steps: list[ClockStep] = []
 
     @classmethod
     def of(
@@ -570,7 +602,7 @@ class EventLog:
         clock: object = event.get("clock")
         if isinstance(clock, dict):
             pair = cast("dict[str, Any]", clock)
-            self._clock = _number(pair, "lsl_s"), _number(pair, "unix_ns") / 1e9
+            self._take_clock(_number(pair, "lsl_s"), _number(pair, "unix_ns") / 1e9, started_s)
         if started_s <= 0.0:
             return
         session = str(event.get("session", ""))
@@ -579,6 +611,15 @@ class EventLog:
             self._agents.append(_AgentRun(started_s, session, now_s, now_s))
         else:
             last.until_s = now_s
+
+    def _take_clock(self, lsl_s: float, unix_s: float, started_s: float) -> None:
+        # Another agent may be on a computer that was restarted, and its LSL clock with it.
+        if self._clock is not None and self._agents and self._agents[-1].started_s == started_s:
+            passed_s = lsl_s - self._clock[0]
+            step = ClockStep(self._clock[0], lsl_s, unix_s - self._clock[1] - passed_s)
+            if passed_s > 0 and abs(step.by_s) > max(CLOCK_SET_S, _MOST_SLEW * passed_s):
+                self.clock_steps.append(step)
+        self._clock = lsl_s, unix_s
 
 
 def _ways(

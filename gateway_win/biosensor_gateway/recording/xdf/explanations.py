@@ -297,6 +297,14 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "computers cannot be aligned.",
         "Record for at least ten seconds, and allow LSL's ports in the firewall.",
     ),
+    "clock-set": Explanation(
+        "A computer slept, or its clock was set",
+        "While it sleeps, a computer receives nothing. On Linux and macOS LSL's clock then stands "
+        "still, so that the timestamps before and after look as if there was no gap. If the clock "
+        "was set, LSL's timestamps are right, but times of day in MCAP, BIDS and ROS jump by that.",
+        "Prevent sleep and let the clock synchronise before you record; see `doctor`. Treat a "
+        "sleep as a gap, and do not analyse intervals across it.",
+    ),
     "no-answer": Explanation(
         "A program was away",
         "The recorder got no answer and no sample from the program of a stream that has no rate. "

@@ -69,6 +69,8 @@ class VisibleStream:
 
 
 _MOST_NAMED = 5
+CLOCK_SET_S = 0.5
+"""Least step of a computer's clock that is reported."""
 
 
 def late_streams(

@@ -121,8 +121,11 @@ def _no_answer(
     since = f"from {max(0.0, silence.since_s - extent.begin):.1f} s"
     is_last = silence.until_s == math.inf
     until = "to the end" if is_last else f"to {silence.until_s - extent.begin:.1f} s"
-    why = "the program had ended" if is_ended else "the program had ended or its network was away"
-    text = f"no answer {since} {until}: {why}, so what it would have sent then is missing"
+    # Whoever answers again may only have stood still, as its computer did.
+    why = "the program had ended" if is_last else "the program had ended or stood still"
+    why += "" if is_ended else " or its network was away"
+    missing = "is" if is_last else "may be"
+    text = f"no answer {since} {until}: {why}, so what it would have sent then {missing} missing"
     is_single = len(own) == 1
     # An experiment often ends before the recording, and sends nothing between two runs.
     is_usual = is_ended and all(
