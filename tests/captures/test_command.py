@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from biosensor_gateway.captures.draft import AGREED, Draft
 from biosensor_gateway.captures.file import ENDING, Capture, packed, read
 from biosensor_gateway.captures.recorder import Taken
 from biosensor_gateway.captures.redaction import Replaced
+from biosensor_gateway.captures.replay import replay
 from biosensor_gateway.cli import capture as command
 from biosensor_gateway.cli.app import app
 from biosensor_gateway.doctor import device_test
@@ -290,6 +292,43 @@ def test_of_several_captures_the_one_that_is_refused_is_named(
     monkeypatch.setattr(sys, "argv", ["biosensor-gateway", "capture", "replay", str(tmp_path)])
     with pytest.raises(ConfigError, match=f"^{file}: {why}"):
         app()(standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "fields", "why"),
+    [
+        ("polar_h10", {}, "Polar H10 is not in range"),
+        ("polar_broadcast", {}, "0 connections of 1"),
+        # Its library is asked for what the board has.
+        pytest.param(
+            "brainflow",
+            {"board": "SYNTHETIC_BOARD"},
+            "which no capture can replace",
+            marks=pytest.mark.seam,
+        ),
+    ],
+)
+def test_a_file_of_a_stranger_reaches_no_device_of_this_computer(
+    device: Capture, sensor: str, fields: dict[str, str], why: str
+) -> None:
+    header = device.header.model_copy(update={"sensor": sensor, "settings": fields})
+    report = replay(device.model_copy(update={"header": header}))
+    (problem,) = (each for each in report.problems if "connections" in each)
+    assert why in problem
+    assert "Bluetooth is" not in problem
+
+
+@pytest.mark.parametrize("field", ["t", "took"])
+@pytest.mark.parametrize("time", ["NaN", "Infinity"])
+def test_times_that_are_no_numbers_are_refused(
+    device: Capture, tmp_path: Path, field: str, time: str
+) -> None:
+    lines = gzip.decompress(packed(device)).decode().splitlines()
+    event = json.loads(lines[-1]) | {field: float(time)}
+    file = tmp_path / f"bad{ENDING}"
+    file.write_bytes(gzip.compress("\n".join([*lines, json.dumps(event)]).encode()))
+    with pytest.raises(ConfigError, match="finite number"):
+        read(file)
 
 
 def test_a_folder_without_a_capture_is_not_passed_over(

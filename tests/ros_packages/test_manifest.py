@@ -77,7 +77,8 @@ def test_each_package_has_what_bloom_and_the_index_of_ros_look_for(folder: Path)
     name = manifest.findtext("name") or ""
     (licence,) = manifest.findall("license")
     assert (folder / (licence.get("file") or "")).read_bytes() == (ROOT / "LICENSE").read_bytes()
-    assert {url.get("type") for url in manifest.findall("url")} == {"repository", "bugtracker"}
+    urls = {url.get("type") for url in manifest.findall("url")}
+    assert urls == {"website", "repository", "bugtracker"}
     assert manifest.findtext("author")
     file = folder / (manifest.findtext("export/rosdoc2") or "")
     kind, documents = yaml.safe_load_all(file.read_text())

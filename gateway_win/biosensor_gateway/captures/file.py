@@ -59,12 +59,12 @@ class Row(_Part):
 class Event(_Part):
     """One event on a link."""
 
-    t: float  # Seconds since the first link was opened.
+    t: float = Field(allow_inf_nan=False)  # Seconds since the first link was opened.
     link: int = Field(ge=0)  # Number of the connection, from 0.
     what: What
     at: Place = ""
     data: Hex = ""
-    took: float = Field(default=0.0, ge=0)  # How long an answer took [s].
+    took: float = Field(default=0.0, ge=0, allow_inf_nan=False)  # How long an answer took [s].
     error: Text = ""
     seen: Advertised | None = None
     table: tuple[Row, ...] = ()

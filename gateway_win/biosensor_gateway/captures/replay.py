@@ -23,7 +23,7 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.captures.bluetooth import backends
-from biosensor_gateway.captures.file import Arrivals, Capture
+from biosensor_gateway.captures.file import Advertised, Arrivals, Capture
 from biosensor_gateway.captures.link_player import Player, ReplayedLink, ReplayedPorts
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
@@ -41,6 +41,7 @@ GIVE_UP_S = 60.0
 """A driver that does not open the next connection within this time has given up."""
 UNIT = "replayed"
 URL = "ws://replayed:1"
+_NOTHING_SEEN = Advertised(address="00:00:00:00:00:00")
 _PLACES = frozenset({"device", "headset", "port", "host", "url", "ca_file"})
 """Settings with the place of a device, which a capture does not need."""
 _FILLED = {"port": UNIT, "host": UNIT, "url": URL}
@@ -230,12 +231,10 @@ async def _replayed(capture: Capture, clock: Clock, make_sink: MakeSink) -> Repo
 def _links(capture: Capture, player: Player, clock: Clock) -> Generator[None]:
     seen = capture.events[0].seen
     instead = Replacement(lambda: ReplayedLink(player, clock), lambda: ReplayedPorts(player, clock))
-    with replaced(instead), _signed_in(capture.header.sensor):
-        if seen is None:
-            yield
-        else:
-            with standing_in(backends(player, seen)):
-                yield
+    # Also without an advertisement: else the driver would use this computer's radio.
+    radio = standing_in(backends(player, seen or _NOTHING_SEEN))
+    with replaced(instead), _signed_in(capture.header.sensor), radio:
+        yield
 
 
 @contextmanager

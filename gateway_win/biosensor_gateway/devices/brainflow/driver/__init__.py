@@ -46,6 +46,7 @@ from biosensor_gateway.devices.brainflow.driver.emitter import (
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.settings.models import DeviceSettings, ShortText
 from biosensor_gateway.transports.link import Early, Received
+from biosensor_gateway.transports.tap import is_replaced
 from biosensor_gateway.transports.threads import Traffic, in_daemon_thread
 
 if TYPE_CHECKING:
@@ -338,6 +339,9 @@ class BrainFlowDriver:
 
     async def connect(self) -> Connected:
         """Start the process, and wait until the board has started."""
+        if is_replaced():
+            message = "BrainFlow reaches a board by its own library, which no capture can replace"
+            raise TransportError(TransportReason.UNAVAILABLE, message)
         self._described = await in_daemon_thread(lambda: described(self._settings))
         if not self._is_declared:
             message = f"BrainFlow now reports what {self._settings.board} has; restart the agent"
