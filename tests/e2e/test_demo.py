@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -97,6 +98,31 @@ def test_sigterm_ends_all_its_programs_and_leaves_none(command: str, tmp_path: P
         process.wait(20.0)
         _, alive = psutil.wait_procs(started, timeout=1.0)
         assert [each.cmdline() for each in alive] == []
+    finally:
+        for each in [*here.children(recursive=True), here] if here.is_running() else []:
+            each.kill()
+        process.wait()
+
+
+def test_an_interrupt_before_the_table_is_shown_is_one_line() -> None:
+    # As a terminal does, to all programs that share it.
+    process = subprocess.Popen(
+        [sys.executable, "-m", "biosensor_gateway.cli", "demo"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    here, deadline = psutil.Process(process.pid), time.monotonic() + 60.0
+    try:
+        while "lsl_to_ros.live_table" not in _arguments(here):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        said, _ = process.communicate(timeout=60.0)
+        assert (said, process.returncode) == ("Ended before the table was shown.\n", 130)
     finally:
         for each in [*here.children(recursive=True), here] if here.is_running() else []:
             each.kill()

@@ -29,6 +29,7 @@ from pathlib import Path
 
 from biosensor_common.child import wait_or_kill
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.process_limits import INTERRUPTED
 from biosensor_common.spec import FromDevice, StreamSpec
 from biosensor_gateway.demo.virtual_devices import virtual_class
 from biosensor_gateway.devices.registry import declaration, sensor, sensor_names, settings_models
@@ -250,7 +251,7 @@ def run(seconds: float | None) -> int:
     -------
     int
         0 if every topic that the virtual devices can fill received data, 3 if the computer was too
-        busy for some of them, else 1.
+        busy for some of them, 130 if it was interrupted before the table was shown, else 1.
 
     Raises
     ------
@@ -338,17 +339,27 @@ def show_topics(
     options = ["--expect", str(expected)]
     if seconds is not None:
         options += ["--seconds", str(seconds)]
+    # In a group of its own, so that Ctrl-C in its imports, which take seconds, is no traceback.
     table = subprocess.Popen(
-        python_program("lsl_to_ros.live_table", *options), env=environment(folder)
+        python_program("lsl_to_ros.live_table", *options),
+        env=environment(folder),
+        process_group=None if sys.platform == "win32" else 0,
     )
     try:
         while table.poll() is None and not is_over():
             programs.require_running()
             time.sleep(_POLL_S)
     except KeyboardInterrupt:
-        # The table prints its summary, whether it got the same Ctrl-C or not.
-        stop(table, programs.begin_to_end())
+        limit_s = programs.begin_to_end()
+        table.terminate()
+        wait_or_kill(table, limit_s)
+        if table.returncode == -signal.SIGTERM:
+            # Otherwise the table has printed its summary.
+            sys.stderr.write("Ended before the table was shown.\n")
+            return INTERRUPTED
     finally:
-        stop(table)
-    # It may not have begun to heed signals when it was asked to end.
-    return 0 if table.returncode == -signal.SIGINT else table.returncode
+        if table.poll() is None:
+            table.terminate()
+        wait_or_kill(table, STOP_TIMEOUT_S)
+    # It may not have begun to handle signals when it was asked to end.
+    return 0 if table.returncode == -signal.SIGTERM else table.returncode
