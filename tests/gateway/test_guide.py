@@ -18,7 +18,14 @@ from typing import Any
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError
-from biosensor_gateway.cli.trial import Trial, expected_streams, print_verdict, require_writable
+from biosensor_gateway.cli import trial
+from biosensor_gateway.cli.trial import (
+    Trial,
+    expected_streams,
+    late_status,
+    print_verdict,
+    require_writable,
+)
 from biosensor_gateway.demo.demonstration import first_devices
 from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import sensor_names, settings_models
@@ -362,6 +369,35 @@ def test_a_try_out_needs_the_loopback_interface(
     monkeypatch.setattr(socket, "create_connection", unreachable)
     with pytest.raises(TransportError, match=r"Network is unreachable.*ip link set lo up"):
         Trial(tmp_path, None, opens=False).run(every=False)
+
+
+def test_a_status_that_is_late_on_a_busy_computer_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = ConfigError(ConfigReason.UNREADABLE, "has not written its status for 6 s")
+    gone = ConfigError(ConfigReason.NOT_FOUND, "no agent is running")
+    answers: list[ConfigError | dict[str, Any]] = [late, late, {"devices": []}, late, gone]
+    looks = 0
+
+    def status(_folder: Path) -> dict[str, Any]:
+        answer = answers.pop(0)
+        if isinstance(answer, ConfigError):
+            raise answer
+        return answer
+
+    def look() -> None:
+        nonlocal looks
+        looks += 1
+
+    def at_once(_seconds: float) -> None:
+        pass
+
+    monkeypatch.setattr(trial, "running_status", status)
+    monkeypatch.setattr(trial.time, "sleep", at_once)
+    assert late_status(tmp_path, look) == {"devices": []}
+    assert looks == 2
+    with pytest.raises(ConfigError, match="no agent is running"):
+        late_status(tmp_path, look)
 
 
 def test_a_folder_for_a_try_out_is_only_looked_at_before(tmp_path: Path) -> None:

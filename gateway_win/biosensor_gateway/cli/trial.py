@@ -239,7 +239,8 @@ class Trial:
 
     def _record(self, devices: Mapping[str, str]) -> bool:
         """Make a recording and its tables; return whether no expected stream is missing."""
-        expected = [*expected_streams(running_status(self._state), devices, self._recorded_s)]
+        status = late_status(self._state, self._programs.require_running)
+        expected = [*expected_streams(status, devices, self._recorded_s)]
         request = RecordingRequest(
             self._output_folder, only_ours=True, allow_missing=True, without_away=True
         )
@@ -294,6 +295,25 @@ class Trial:
                 yield f"! {error}"
             else:
                 yield f"The data recorded so far is in {file}"
+
+
+def late_status(folder: Path, require_running: Callable[[], object]) -> Mapping[str, Any]:
+    """Read the status of the agent, and wait for one that is late on a busy computer.
+
+    Raises
+    ------
+    ConfigError
+        As `running_status`; ``UNREADABLE`` only after `_READY_S`.
+    """
+    deadline = time.monotonic() + _READY_S
+    while True:
+        try:
+            return running_status(folder)
+        except ConfigError as error:
+            if error.reason is not ConfigReason.UNREADABLE or time.monotonic() > deadline:
+                raise
+        require_running()
+        time.sleep(_ASK_S)
 
 
 def _tell(said: Sequence[str]) -> None:
