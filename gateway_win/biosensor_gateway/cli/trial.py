@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -180,10 +181,15 @@ class Trial:
     def _show(self, devices: Mapping[str, str], stack: ExitStack) -> int:
         names = ", ".join(map(sensor_title, devices))
         say(f"Virtual sensors, no hardware: {names}. They take a moment to start.")
-        self._start(stack, "agent", agent_command(devices.values()))
+        # Of those that the page has started. Ours are asked first where no signal would end them in
+        # order; elsewhere one that is stuck would make a person wait.
         stack.callback(_ended, lambda: stop_agent(self._state))
+        self._start(stack, "agent", agent_command(devices.values()))
+        if sys.platform == "win32":
+            stack.callback(_ended, lambda: stop_agent(self._state))
         self._start(stack, _PAGE, own_command(["page", "--no-open"]))
-        stack.callback(_ended, lambda: ask_to_end(self._state))
+        if sys.platform == "win32":
+            stack.callback(_ended, lambda: ask_to_end(self._state))
         if has_ros():
             self._start(stack, "node", node_command())
         self._say_address()
