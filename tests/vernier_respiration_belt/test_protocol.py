@@ -272,6 +272,9 @@ def test_giving_up_finds_what_a_false_start_hid() -> None:
     assert belt.feed(b"\x20\xff" + _REAL) == []
     assert comparable(belt.give_up()) == comparable(decoded(_REAL))
     assert (belt.dropped_bytes, belt.buffered) == (2, 0)
+    # Nothing follows this one.
+    assert belt.feed(b"\x20") == belt.give_up() == []
+    assert (belt.dropped_bytes, belt.buffered) == (3, 0)
 
 
 @pytest.mark.parametrize(
