@@ -44,20 +44,6 @@ class Unit(StrEnum):
     WATTS = "W"
 
 
-NOT_PHYSICAL = frozenset(
-    {
-        Unit.ARBITRARY,
-        Unit.BOOLEAN,
-        Unit.COUNTS,
-        Unit.FRACTION,
-        Unit.INDEX,
-        Unit.LOCAL_FLUX,
-        Unit.NONE,
-    }
-)
-"""Units without plausible bounds: raw numbers of a converter, or a vendor's own scale."""
-
-
 @unique
 class ChannelRole(StrEnum):
     """Meaning of a channel for programs that use its values, independent of its label.

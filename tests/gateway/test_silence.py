@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import source_id
-from biosensor_common.quantities import NOT_PHYSICAL, ContentType, MessageType, Unit
+from biosensor_common.quantities import ContentType, MessageType, Unit
 from biosensor_common.refusal import LATELY_S, Refusals
 from biosensor_common.spec import FROM_DEVICE, ChannelSpec, DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_gateway.agent.device_set import Device
@@ -47,6 +47,19 @@ from tests.rigs.virtual_time import SetClock
 
 LIMIT_S = 5.0
 TICK_S = 0.25
+
+NOT_PHYSICAL = frozenset(
+    {
+        Unit.ARBITRARY,
+        Unit.BOOLEAN,
+        Unit.COUNTS,
+        Unit.FRACTION,
+        Unit.INDEX,
+        Unit.LOCAL_FLUX,
+        Unit.NONE,
+    }
+)
+"""Units without plausible bounds: raw numbers of a converter, or a vendor's own scale."""
 
 
 class SteeredWatch:

@@ -16,7 +16,6 @@ from biosensor_common.table import battery, channels, hardware, raw
 from biosensor_gateway.devices.sensor import Sensor
 
 MOTION_HZ = 25.0
-PULSE_HZ = 25.0
 CONDUCTANCE_HZ = 15.0
 TEMPERATURE_HZ = 7.5
 
