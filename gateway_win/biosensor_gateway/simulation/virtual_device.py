@@ -172,6 +172,8 @@ class VirtualDevice(ABC):
     """Constructor options that differ between devices, with placeholders for their number."""
     expected: ClassVar[Expected] = Expected()
     """What an agent can know about it."""
+    device: str
+    """Its name, number or address, if its settings need nothing else."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -214,9 +216,9 @@ class VirtualDevice(ABC):
         return {**others, **cls.expected.impossible}
 
     @property
-    @abstractmethod
     def settings(self) -> Mapping[str, Any]:
         """Settings with which a driver finds it, after the start."""
+        return {"device": self.device}
 
     @property
     def environment(self) -> Mapping[str, str]:

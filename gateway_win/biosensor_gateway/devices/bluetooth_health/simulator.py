@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
 from types import MappingProxyType
-from typing import Any, NamedTuple, Unpack
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from bumble.att import Attribute
@@ -137,7 +137,7 @@ class SimulatedHealthDevice(StrapDevice):
     ) -> None:
         super().__init__(world, **specimen)
         self._stepped_back = 0
-        self._address = address
+        self.device = address
         self._strap = Strap(
             Peripheral(radio, address, name, service_uuids=_ADVERTISED, rssi_dbm=rssi_dbm),
             self.truth,
@@ -149,11 +149,6 @@ class SimulatedHealthDevice(StrapDevice):
         self._characteristics = {name: self._add(*each) for name, each in _SERVICES.items()}
         self._strap.deny_by_turns(list(self._characteristics.values()))
         self._strap.on_power_on.append(self._begin)
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._address}
 
     def _add(
         self, service: int, number: int, properties: Characteristic.Properties

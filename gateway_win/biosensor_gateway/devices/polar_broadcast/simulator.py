@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Unpack
+from typing import Unpack
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import EXPECTED as ANY_STRAP
@@ -90,7 +89,7 @@ class SimulatedPolarBroadcast(StrapDevice):
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(world, **specimen)
-        self._device_id = device_id
+        self.device = device_id
         self._strap = Strap(
             Peripheral(
                 radio, address, f"Polar H9 {device_id}", rssi_dbm=rssi_dbm, interval_ms=interval_ms
@@ -106,11 +105,6 @@ class SimulatedPolarBroadcast(StrapDevice):
         self._battery_ok = True
         self._stands_still = False
         self._begin()
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._device_id}
 
     def _begin(self) -> None:
         self._counter = 0

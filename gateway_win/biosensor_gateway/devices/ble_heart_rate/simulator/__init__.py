@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Unpack
+from typing import Unpack
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
@@ -69,7 +68,7 @@ class SimulatedHeartRateStrap(StrapDevice):
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(world, **specimen)
-        self._address = address
+        self.device = address
         peripheral = Peripheral(radio, address, name, service_uuids=("180d",), rssi_dbm=rssi_dbm)
         self._strap = Strap(
             peripheral,
@@ -80,8 +79,3 @@ class SimulatedHeartRateStrap(StrapDevice):
         if demands_pairing:
             peripheral.demand_pairing = True
             self._strap.heart_rate.demand_pairing()
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._address}

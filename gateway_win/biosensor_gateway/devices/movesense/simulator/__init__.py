@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import cycle
 from types import MappingProxyType
-from typing import Any, Protocol, Unpack
+from typing import Protocol, Unpack
 
 import numpy as np
 from bumble.att import Attribute
@@ -391,7 +390,7 @@ class SimulatedMovesense(StrapDevice):
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(world, **specimen)
-        self._serial = serial
+        self.device = serial
         self._to_deny = cycle(_DENIABLE)
         firmware = firmware or Firmware()
         peripheral = Peripheral(
@@ -413,11 +412,6 @@ class SimulatedMovesense(StrapDevice):
         self._service = _SensorDataService(
             self._strap, serial, is_old=firmware.is_old, deviation=deviation
         )
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._serial}
 
     def _break_link(self) -> None:
         self._strap.break_link()

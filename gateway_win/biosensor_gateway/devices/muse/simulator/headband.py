@@ -228,8 +228,8 @@ class Headband(RadioDevice):
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         address = address or self.usual[0]
-        self._number = address.replace(":", "")[-4:]
-        name = f"{self.kind}-{self._number}"
+        self.device = address.replace(":", "")[-4:]
+        name = f"{self.kind}-{self.device}"
         super().__init__(
             world,
             Peripheral(radio, address, name, service_uuids=[SERVICE], rssi_dbm=rssi_dbm),
@@ -253,11 +253,6 @@ class Headband(RadioDevice):
             Attribute.Permissions.READABLE | Attribute.Permissions.WRITEABLE,
             CharacteristicValue(write=self._hear),
         )
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._number}
 
     @abstractmethod
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import inf
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Unpack
+from typing import ClassVar, NamedTuple, Unpack
 
 from bumble.att import Attribute
 from bumble.core import UUID
@@ -136,7 +135,7 @@ class SimulatedPolarH10(StrapDevice):
         super().__init__(world, **specimen)
         quirks = quirks or Quirks()
         product = product or self.usual.product
-        device_id = self._device_id = device_id or self.usual.device_id
+        device_id = self.device = device_id or self.usual.device_id
         self._payloads = 0
         self._shown_bpm = 0
         name = f"{product.advertised} {device_id}"
@@ -157,11 +156,6 @@ class SimulatedPolarH10(StrapDevice):
             self._pmd = PmdService(self._strap, product, quirks)
         elif quirks.firmware is Firmware.OLD:
             self._strap.services.append(_file_transfer_service())
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._device_id}
 
     def _babble(self, packets: float) -> None:
         self._strap.babble(packets)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 from bumble.att import Attribute
@@ -186,7 +186,7 @@ class SimulatedBelt(RadioDevice):
         name = f"{_ORDER_CODE} {serial}"
         peripheral = Peripheral(radio, address, name, rssi_dbm=rssi_dbm, max_mtu=max_mtu)
         super().__init__(world, peripheral, **specimen)
-        self._serial = serial
+        self.device = serial
         self._firmware = BeltFirmware(_ORDER_CODE, serial)
         self._signals = _Signals(self.specimen.wearer, warm_up_s, world.clock)
         self._measuring: asyncio.Task[None] | None = None
@@ -194,11 +194,6 @@ class SimulatedBelt(RadioDevice):
         self._response = Characteristic[bytes](
             RESPONSE_UUID, _Properties.NOTIFY, Attribute.Permissions.READABLE, b""
         )
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings with which a driver finds it."""
-        return {"device": self._serial}
 
     async def _start(self) -> None:
         self._signals.begin()
