@@ -84,8 +84,12 @@ def test_a_state_folder_that_is_none(examine: Examine, context: Context, tmp_pat
 
 
 def test_looking_makes_nothing(examine: Examine, context: Context) -> None:
-    assert not above_ok(examine(context, "settings"))[1:]
+    found = examine(context, "settings")
+    assert not above_ok(found)[1:]
+    assert only(found, "state folder").what.endswith(", can be made")
     assert not context.state_folder.exists()
+    context.state_folder.mkdir(parents=True)
+    assert only(examine(context, "settings"), "state folder").what.endswith(", writable")
 
 
 def test_streams_are_counted_that_the_agent_would_open(

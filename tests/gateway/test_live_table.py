@@ -188,6 +188,15 @@ def test_it_fits_every_window_and_names_what_is_left_out(columns: int, lines: in
         assert named + sum(int(line.split()[2]) for line in left_out) == len(rows)
 
 
+@pytest.mark.parametrize(
+    ("state", "is_well"), [("streaming", True), ("paused", True), ("connecting", False)]
+)
+def test_a_device_that_is_well_has_no_colour(state: str, is_well: bool) -> None:
+    row = Row("polar_h10", state, "130.0", "0", "90 %", "")
+    (line,) = (each for each in picture([row], (), WIDE, colours=True) if state in each.text)
+    assert (not line.colour) is is_well
+
+
 def test_trouble_has_a_colour_only_where_there_are_colours() -> None:
     rows = table().rows(status(device(state="backoff", error=REASON)))
     assert any(line.colour for line in picture(rows, (), WIDE, colours=True))
