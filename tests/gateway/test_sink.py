@@ -24,7 +24,7 @@ from biosensor_gateway.devices.brainflow import driver as board
 from biosensor_gateway.devices.brainflow.driver import BrainFlowSettings
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.sink import WAITED_S, Arrivals, DeviceSink
+from biosensor_gateway.streaming.sink import WAITED_S, Arrivals, Charge, DeviceSink
 from biosensor_gateway.system.child import start_beside
 from tests.rigs.gateway import inlet
 from tests.rigs.polling import wait_until
@@ -311,3 +311,13 @@ def test_a_program_that_outlives_this_one_leaves_no_zombie_if_it_does_not() -> N
     before = set(psutil.Process().children())
     start_beside(["--version"])
     wait_until(lambda: not set(psutil.Process().children()) - before)
+
+
+def test_the_newest_known_value_is_the_charge_of_a_battery() -> None:
+    charge = Charge(declaration("polar_h10"))
+    charge.sampled("bat", [[81.0]], [1.0])
+    assert charge.percent == 81.0
+    # NaN is "no value", and another stream tells nothing of it.
+    charge.sampled("bat", [[80.0], [79.0], [math.nan]], [2.0, 3.0, 4.0])
+    charge.sampled("hr", [[60.0]], [5.0])
+    assert charge.percent == 79.0
