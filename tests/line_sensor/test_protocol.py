@@ -68,6 +68,18 @@ def test_values_come_back_from_json(rows: list[Row], places: list[int], form: st
     assert rows_of(cut(text.encode(), places), format="json") == rows
 
 
+@pytest.mark.parametrize("separator", sorted(SEPARATORS))
+def test_values_may_follow_their_labels_as_for_arduinos_plotter(separator: str) -> None:
+    between = SEPARATORS[separator]
+    lines = [between.join(each) for each in (("x:1.5", "y:-2"), ("3", "y:4"), ("y:5", "x:6"))]
+    first, second, wrong = read(
+        "".join(f"{each}\n" for each in lines).encode(), separator=separator
+    )
+    assert (first, second) == ((1.5, -2.0), (3.0, 4.0))
+    # A value of another column is no value of this one.
+    assert isinstance(wrong, BadLine)
+
+
 @given(ROWS, PLACES, st.sampled_from(sorted(CHECKSUMS)), st.binary(max_size=9))
 def test_values_come_back_from_records_behind_other_bytes(
     rows: list[Row], places: list[int], checksum: str, noise: bytes
