@@ -153,6 +153,8 @@ def test_a_clock_that_was_set_is_another_from_then_on(path: Path) -> None:
     with open_contents(path) as contents:
         assert contents.wall is not None
         found = contents.wall.to_unix_ns(np.array([99.0, 104.9, 105.0, 200.0])) - DAY_NS
+        # Exports with times of day say so.
+        assert contents.wall.doubt.startswith("jumps by +60.0 s: a computer slept meanwhile, or")
     assert found.tolist() == pytest.approx([-1e9, 4.9e9, 65e9, 160e9], abs=1000)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.ros_clock import NS_PER_S, STEP_NS, ClockPair, read_clock_pair
 from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.xdf.findings import CLOCK_SET_S
 from biosensor_gateway.recording.xdf.header import FileClock
 
 EVENTS = "events"
@@ -54,7 +55,7 @@ class WallClock:
 
     @property
     def doubt(self) -> str:
-        """Possible error of the time of day, as the end of a sentence; empty if exact."""
+        """Error or jump of the time of day, as the end of a sentence; empty if exact."""
         if self.resolution_s >= NO_ZONE_RESOLUTION_S:
             return (
                 "may be hours off: the recorder's date has no time zone, and was taken as one of "
@@ -64,6 +65,13 @@ class WallClock:
             return (
                 f"is only accurate to {self.resolution_s:g} s, because only the recorder's date "
                 "is known"
+            )
+        steps_s = np.diff(self.offsets_ns) / NS_PER_S
+        largest = max(steps_s, key=abs, default=0.0)
+        if abs(largest) > CLOCK_SET_S:
+            return (
+                f"jumps by {largest:+.1f} s: a computer slept meanwhile, or its clock was set; "
+                "seconds since the start and LSL times do not"
             )
         return ""
 
