@@ -1050,7 +1050,10 @@ HERE = Sender("gaze", range(0))
         ([WATCH], "19.5 s to the end: the program had ended or its network was away"),
         ([WATCH, HERE], "19.5 s to the end: the program had ended, so"),
         ([WATCH, HERE._replace(host="pc1")], "the program had ended or its network was away"),
-        ([WATCH._replace(away=range(4, 7)), HERE], "from 14.5 s to 34.5 s: the program had ended"),
+        (
+            [WATCH._replace(away=range(4, 7)), HERE],
+            "34.5 s: the program had ended or stood still, so",
+        ),
         ([Sender("marks", range(5, 13), "Markers")], "or its network was away"),
     ],
 )
