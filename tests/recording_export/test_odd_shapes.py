@@ -348,7 +348,7 @@ def test_a_replay_begins_with_the_signals_though_intervals_are_of_before(tmp_pat
     }
     for names, begin_s in [
         (("signal", "intervals"), bids_shapes.BEGIN_S),
-        (("signal", "intervals", "markers"), bids_shapes.BEGIN_S - 5.0),
+        (("signal", "intervals", "markers"), bids_shapes.BEGIN_S),
         (("intervals",), bids_shapes.BEGIN_S - 20.0),
     ]:
         path.write_bytes(made.xdf(*(parts[each] for each in names)))

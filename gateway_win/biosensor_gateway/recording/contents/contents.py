@@ -19,6 +19,7 @@ from biosensor_gateway.recording.xdf.figures import cuts_of, first_of, is_exact,
 from biosensor_gateway.recording.xdf.pace import Cuts, Pace, find_pace, rate_of
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, RateChange
 from biosensor_gateway.recording.xdf.recording import StreamSorter
+from biosensor_gateway.recording.xdf.report import Ends, Extent, extent_of, last_asked
 from biosensor_gateway.recording.xdf.stream_rules import MIN_SAMPLES_FOR_RATE, WRONG_RATE
 
 _MOST_RATES = 4
@@ -32,9 +33,7 @@ class Contents:
     begun: str  # The recorder's text for the start time; empty if there is none.
     streams: tuple[Stream, ...]  # In the order of their headers, including streams without samples.
     damages: tuple[Damage, ...]  # Bytes that could not be read.
-    # begin_s, end_s: times of the first and last sample on the recorder's LSL clock, in s; 0
-    # without samples. Streams about the state of a device, which may be older than the recording,
-    # and streams on another clock count only if there are no others.
+    # begin_s, end_s: of the recording's `Extent`, on the recorder's LSL clock in s.
     begin_s: float
     end_s: float
     wall: WallClock | None  # Relation to the time of day; None if unknown.
@@ -100,10 +99,10 @@ def open_contents(path: Path) -> Generator[Contents]:
             what = f"the samples of stream number {number} have no header"
             damages = (*damages, Damage(start, end, what))
         streams = tuple(Stream(file, number, each) for number, each in sorter.streams.items())
-        begin_s, end_s = extent(streams)
+        span = extent(streams)
         begun = sorter.begun or ""
-        wall = find_wall_clock(streams, begun, begin_s, sorter.clock)
-        yield Contents(path, begun, streams, damages, begin_s, end_s, wall)
+        wall = find_wall_clock(streams, begun, span.begin, sorter.clock)
+        yield Contents(path, begun, streams, damages, span.begin, span.end, wall)
 
 
 @contextmanager
@@ -122,21 +121,14 @@ def open_ended(path: Path) -> Generator[Contents]:
         yield contents
 
 
-def extent(streams: Sequence[Stream]) -> tuple[float, float]:
-    """Return the times of the first and last sample of some streams; 0 without samples.
-
-    Times are on the recorder's clock, in s. Streams about the state of a device and streams on
-    another clock count only if there are no others.
-    """
-    ends = [(_tells_when(each), found) for each in streams if (found := each.ends())]
-    bounds = [found for tells_when, found in ends if tells_when] or [found for _, found in ends]
-    if not bounds:
-        return 0.0, 0.0
-    return min(first for first, _ in bounds), max(last for _, last in bounds)
-
-
-def _tells_when(stream: Stream) -> bool:
-    return not (stream.header.may_be_older or stream.clock_error)
+def extent(streams: Sequence[Stream]) -> Extent:
+    """Return the extent of some streams of a recording, as in `xdf check`."""
+    ends = [
+        Ends(each.header, not each.clock_error, *bounds)
+        for each in streams
+        if (bounds := each.ends()) is not None
+    ]
+    return extent_of(ends, last_asked(each.clock_offsets for each in streams))
 
 
 def estimated_rate(stream: Stream) -> float | None:

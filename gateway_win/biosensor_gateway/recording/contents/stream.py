@@ -78,6 +78,8 @@ class IndexedStream:
     _bounds: array[int] = field(default_factory=lambda: array("q"))
     _stamps: array[float] = field(default_factory=lambda: array("d"))
     _leaps: array[int] = field(default_factory=lambda: array("q"))
+    # Least and greatest timestamp of each chunk whose ends they are not, and its offsets_before.
+    _within: array[float] = field(default_factory=lambda: array("d"))
     _last: float = 0.0
     _curve: Curve = field(default_factory=Curve)
 
@@ -100,6 +102,8 @@ class IndexedStream:
         if len(finite):
             low, high = float(finite.min()), float(finite.max())
             self.earliest, self.latest = min(low, self.earliest), max(high, self.latest)
+            if not self.header.is_regular and (low < first or high > last):
+                self._within.extend((low, high, len(self.clock_offsets)))
             if self.header.is_regular:
                 self._curve.add(block.stamps)
                 # Most chunks are shorter than a jump, and cost two comparisons.
@@ -189,6 +193,14 @@ class IndexedStream:
         behind = np.append(firsts[1:], self.sample_count)
         is_in: NDArray[np.bool_] = (behind > begin) & (firsts < end)
         return is_in
+
+    @property
+    def within(self) -> NDArray[np.float64]:
+        """Extremes within chunks of a stream without a rate, with the offsets before them.
+
+        Shape (n, 3); the first two are timestamps in s.
+        """
+        return np.array(self._within).reshape(-1, 3)
 
     def end_stamps(self, stray: Mapping[int, float] = MappingProxyType({})) -> NDArray[np.float64]:
         """Return the first and last timestamp of each chunk, shape (n_chunks, 2), in s.
@@ -451,19 +463,22 @@ class Stream:
         return bool(ends.max() < begin_s or ends.min() >= end_s)
 
     def ends(self) -> tuple[float, float] | None:
-        """Return the minimum and maximum time at the ends of its chunks, in s; None if empty.
+        """Return the time of its first and of its last sample, in s; None if empty.
 
-        Within a chunk, timestamps are almost always ascending.
+        In a stream with a rate, only the ends of chunks are looked at, within which timestamps are
+        almost always ascending.
         """
-        found = self._indexed.end_stamps(self.stray)
+        within = self._indexed.within
+        found = np.concatenate([self._indexed.end_stamps(self.stray), within[:, :2]])
         if self.part_error:
             found = found.ravel()
             bounds = clock_bounds(self.header, self.clock_offsets)
             found = found[is_between(found, bounds)]
         if len(found) and self.clock.restarts:
-            places = zip(found, self._indexed.places(), strict=True)
-            times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]
-            found = np.concatenate(times)
+            before = [each.offsets_before for each in self._indexed.places()]
+            before += within[:, 2].astype(int).tolist()
+            runs = zip(found, before, strict=True)
+            found = np.concatenate([self.clock.to_recorder(ends, at) for ends, at in runs])
         else:
             # With one clock run, all chunks are converted at once: a day has millions of chunks.
             found = self.clock.to_recorder(found.ravel())

@@ -32,6 +32,11 @@ _CLOCKS = {
     "switched on",
     Clock.WALL: "unix time: seconds since the start of 1970, in UTC",
 }
+_ZERO = """\
+Seconds count from there: it is the first sample of all streams with a rate and of all streams of
+other programs, as in biosensor-gateway xdf check. What was measured before, such as the state of a
+battery, a heart rate over seconds that had passed, or a marker, can have negative seconds.
+"""
 _TIMES = {
     Times.RECORDED: "Times are as recorded. Nothing was filled in where samples are missing.",
     Times.EVEN: (
@@ -123,9 +128,8 @@ def _times(chosen: Chosen, options: ExportOptions) -> Iterator[str]:
     clock = _CLOCKS[options.clock]
     yield f"All times are in seconds. Unless stated otherwise, they are {clock}."
     date = line.described()["TimeZero"]
-    begin = f"{line.begin_s:.6f}"
-    if isinstance(date, dict) and "Date" in date:
-        yield f"The recording starts at {begin}, which is {date['Date']}."
-    else:
-        yield f"The recording starts at {begin}."
+    which = f", which is {date['Date']}" if isinstance(date, dict) and "Date" in date else ""
+    # With --begin, the zero is there.
+    what = "This selection" if chosen.begin_s > chosen.contents.begin_s else "The recording"
+    yield f"{what} starts at {line.begin_s:.6f}{which}. {_ZERO}"
     yield _TIMES[options.times]

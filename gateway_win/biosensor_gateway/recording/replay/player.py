@@ -85,13 +85,9 @@ class Player:
         self._file_hash = file_hash
         # Streams to play, including empty ones, because a receiver may wait for them.
         self.streams = chosen.streams
-        first_s, last_s = extent(self.streams)
-        # A device computes intervals of its first seconds when these are over; until its signals
-        # begin, nothing would be sent but they.
-        timely = [each for each in self.streams if each.sample_count and not _is_computed(each)]
-        timely_s = extent(timely)[0] if timely else first_s
-        self.begin_s = chosen.begin_s if math.isfinite(chosen.begin_s) else max(first_s, timely_s)
-        self.end_s = min(chosen.end_s, last_s)
+        span = extent(self.streams)
+        self.begin_s = chosen.begin_s if math.isfinite(chosen.begin_s) else span.begin
+        self.end_s = min(chosen.end_s, span.end)
         if self.end_s < self.begin_s:
             raise self._empty()
         self.lateness = Lateness()
@@ -231,11 +227,6 @@ class Player:
             time.sleep(min(max(wait_s, PACE_S), _LOOK_S))
         if not stopping.is_set():
             self._position_s = self.end_s
-
-
-def _is_computed(stream: Stream) -> bool:
-    header = stream.header
-    return header.is_ours and not header.is_regular and not header.is_markers
 
 
 def _recorded_id(stream: Stream) -> str:

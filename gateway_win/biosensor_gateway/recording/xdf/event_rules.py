@@ -144,7 +144,7 @@ def _missing_times(code: str, measured: Measured, extent: Extent) -> Sequence[Ga
         is_in_gaps = measured.counters.lost <= gaps.lost * _ESTIMATED + _MOST_STRAY
         return gaps.listed if is_in_gaps else ()
     if figures.first is None or figures.last is None:
-        begin = extent.begin - measured.recorder_offset_s
+        begin = measured.own_s(extent.begin)
         return [Gap(begin, extent.length_s, 0)] * (code == "no-samples")
     late_s = extent.since_begin(figures.first, measured)
     if code == "begins-late":

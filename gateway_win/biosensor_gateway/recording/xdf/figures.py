@@ -111,9 +111,14 @@ class Figures:
     rate_changes: tuple[RateChange, ...] = ()
 
     @property
+    def bounds(self) -> tuple[float, float] | None:
+        """`first` and `last`; None without samples."""
+        return None if self.first is None or self.last is None else (self.first, self.last)
+
+    @property
     def span_s(self) -> float:
         """Time from the first to the last sample, 0 without samples."""
-        return 0.0 if self.first is None or self.last is None else self.last - self.first
+        return 0.0 if self.bounds is None else self.bounds[1] - self.bounds[0]
 
 
 def measure(stream: RecordedStream) -> Figures:

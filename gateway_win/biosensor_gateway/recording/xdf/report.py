@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
 
 from biosensor_gateway.recording.xdf.counters import RecordedCounters
 from biosensor_gateway.recording.xdf.figures import MAX_UPTIME_S, Figures
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
-from biosensor_gateway.recording.xdf.sender_clock import is_reading, plausible
+from biosensor_gateway.recording.xdf.sender_clock import Offset, SenderClock, plausible
 
 LATE_S = 5.0
 """Streams of a good recording may start and stop this far apart, in s."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Measured:
     """One stream with its statistics, and the agent's counts where available."""
 
@@ -29,11 +33,27 @@ class Measured:
         """The stream's name."""
         return self.stream.header.title
 
-    @property
-    def recorder_offset_s(self) -> float:
-        """Offset from the times in its statistics to the recorder's clock, in s."""
-        offsets = [each for _, each in self.stream.clock_offsets if is_reading(each)]
-        return offsets[0] if offsets and not self.figures.offsets.resets else 0.0
+    @cached_property
+    def _clock(self) -> SenderClock:
+        # Behind a restart of the clock, statistics are on the recorder's clock already.
+        return SenderClock(() if self.figures.offsets.resets else self.stream.clock_offsets)
+
+    def recorder_s(self, stamp_s: float) -> float:
+        """Convert a time of its statistics to the recorder's clock."""
+        return float(self._clock.to_recorder(np.array([stamp_s]))[0])
+
+    def own_s(self, time_s: float) -> float:
+        """Convert a time on the recorder's clock to the clock of its statistics."""
+        return float(self._clock.to_sender(np.array([time_s]))[0])
+
+
+class Ends(NamedTuple):
+    """First and last sample of a stream on the recorder's clock, in s."""
+
+    header: RecordedHeader
+    is_on_clock: bool  # Whether it is on an LSL clock, see `measuring.clock_error`.
+    first_s: float
+    last_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,37 +82,51 @@ class Extent:
         """
         if measured.figures.clock_error:
             return stamp - (measured.figures.first or 0.0)
-        return stamp + measured.recorder_offset_s - self.begin
+        return measured.recorder_s(stamp) - self.begin
 
 
 def extent(streams: Sequence[Measured]) -> Extent:
-    """Compute the extent of a recording; from 0 to 0 if no stream has samples."""
-    on_clock = [each for each in streams if not each.figures.clock_error]
-    present = _bounds(on_clock) or _bounds(streams)
-    timely = [bound for bound in present if not bound[0].may_be_older]
-    bounds = [bound for bound in timely if not _comes_when_it_comes(bound[0])] or timely or present
-    if not bounds:
+    """Return the extent of a recording."""
+    ends = [
+        Ends(each.stream.header, not figures.clock_error, *map(each.recorder_s, bounds))
+        for each in streams
+        for figures in [each.figures]
+        if (bounds := figures.bounds) is not None
+    ]
+    return extent_of(ends, last_asked(each.stream.clock_offsets for each in streams))
+
+
+def extent_of(ends: Sequence[Ends], asked_s: float) -> Extent:
+    """Return the extent of streams; from 0 to 0 if none has samples.
+
+    Parameters
+    ----------
+    asked_s
+        See `last_asked`.
+    """
+    on_clock = [each for each in ends if each.is_on_clock]
+    present = on_clock or ends
+    timely = [each for each in present if not each.header.may_be_older]
+    steady = [each for each in timely if not _comes_when_it_comes(each.header)]
+    counted = steady or timely or present
+    if not counted:
         return Extent(0.0, 0.0)
-    begin, end = min(begin for _, begin, _ in bounds), max(end for _, _, end in bounds)
-    asked_s = last_asked(streams)
+    begin, end = min(each.first_s for each in counted), max(each.last_s for each in counted)
     # If all that is told comes late, the recorder's clock offsets show that it went on.
     is_later = bool(on_clock) and LATE_S < asked_s - end < MAX_UPTIME_S
     return Extent(begin, asked_s if is_later else end)
 
 
-def last_asked(streams: Sequence[Measured]) -> float:
-    """Return when the recorder noted the last clock offset, on its own clock in s; 0 if never."""
-    lasts = (plausible(each.stream.clock_offsets)[-1:] for each in streams)
+def last_asked(offsets: Iterable[Sequence[Offset]]) -> float:
+    """Return when the recorder noted the last clock offset, on its own clock in s; 0 if never.
+
+    Parameters
+    ----------
+    offsets
+        Of each stream.
+    """
+    lasts = (plausible(each)[-1:] for each in offsets)
     return max((sum(offset) for last in lasts for offset in last), default=0.0)
-
-
-def _bounds(streams: Sequence[Measured]) -> list[tuple[RecordedHeader, float, float]]:
-    return [
-        (each.stream.header, figures.first + offset_s, figures.last + offset_s)
-        for each in streams
-        for figures, offset_s in [(each.figures, each.recorder_offset_s)]
-        if figures.first is not None and figures.last is not None
-    ]
 
 
 def _comes_when_it_comes(header: RecordedHeader) -> bool:

@@ -71,7 +71,7 @@ def absent_senders(
     Streams of one computer that were away at the same time are one event. Where streams have a
     rate, their gaps are consequences of it; of others no sample shows that something is missing.
     """
-    end_s = last_asked(streams)
+    end_s = last_asked(each.stream.clock_offsets for each in streams)
     silences = {id(each): each.stream.silences(end_s) for each in streams}
     events: list[tuple[Silence, list[Measured]]] = []
     for each in streams:
@@ -97,10 +97,9 @@ def absent_senders(
             names = [f"all {len(own)} streams of {host}"]
         finding = _no_answer(silence, own, names, is_ended, extent)
         causes = [each.finding.text for each in away if _explains(each, silence, own)]
-        offset_s = own[0].recorder_offset_s
-        until_s = None if silence.until_s == math.inf else silence.until_s - offset_s
+        until_s = None if silence.until_s == math.inf else own[0].own_s(silence.until_s)
         # Before its program ends, a stream may come to rest.
-        spell = Spell("away", silence.since_s - ASKED_EVERY_S - offset_s, until_s)
+        spell = Spell("away", own[0].own_s(silence.since_s - ASKED_EVERY_S), until_s)
         ids = frozenset(each.stream.header.source_id for each in own)
         part_of = causes[0] if causes else ""
         found.append(Absence(replace(finding, part_of=part_of), None, host, (spell,), ids))
@@ -148,9 +147,11 @@ def _explains(absence: Absence, silence: Silence, own: Sequence[Measured]) -> bo
     """Whether the agent was away in this time, and with it all these streams."""
     if absence.device is not None or not all(absence.concerns(e.stream.header) for e in own):
         return False
-    offset_s = own[0].recorder_offset_s
     spells = [
-        Silence((spell.since or 0.0) + offset_s, (spell.until or math.inf) + offset_s)
+        Silence(
+            -math.inf if spell.since is None else own[0].recorder_s(spell.since),
+            math.inf if spell.until is None else own[0].recorder_s(spell.until),
+        )
         for spell in absence.spells
     ]
     return any(_overlap(silence, each) for each in spells)
