@@ -175,3 +175,45 @@ def test_features_find_the_beats_of_each_part(case: str, tmp_path: Path) -> None
     assert len(found) >= len(beats) - 6 * len(parts)
     nearest = np.abs(found[:, np.newaxis] - beats).min(axis=1)
     assert nearest.max() < (0.25 if "bursts" in case else 0.05)
+
+
+# Smaller changes of the rate make no parts, but are told by what they cost.
+
+
+@pytest.mark.parametrize("percent", [0.5, 1.0, 2.0, 3.0, -1.0, -3.0])
+@pytest.mark.parametrize("how", ["exact", "in bursts", "delayed"])
+def test_a_line_that_is_far_from_the_stamps_is_told(percent: float, how: str) -> None:
+    stamps = _at_rates((RATE, 200.0), (RATE * (1 + percent / 100), 200.0))
+    changed = {"exact": stamps, "in bursts": _in_bursts(stamps), "delayed": _delayed(stamps)}[how]
+    report = check(_recording(changed))
+    (found,) = (each for each in report.findings if each.code == "bent")
+    assert found.level is Level.WARNING
+    # No line is nearer than half of how far one through either half is from the other end.
+    bend = report.streams[0].figures.bend
+    assert bend is not None
+    assert bend.away_s > 0.9 * abs(percent) / 100 * 200 / 4
+
+
+@pytest.mark.parametrize("name", stamped.HARMLESS)
+def test_what_is_only_late_is_not_bent(name: str) -> None:
+    report = check(_recording(stamped.HARMLESS[name]))
+    assert "bent" not in {each.code for each in report.findings}
+
+
+@pytest.mark.parametrize("case", ["a recording of a day", "a clock that is 200 ppm off"])
+def test_a_clock_that_is_off_all_the_time_is_not_bent(case: str) -> None:
+    length_s, rate = (86_400.0, 10.0) if case == "a recording of a day" else (600.0, 130.026)
+    stamps = _delayed(1000.0 + np.arange(round(length_s * rate)) / rate)
+    report = check(_recording(stamps, rate=round(rate), chunk=1000))
+    assert "bent" not in {each.code for each in report.findings}
+
+
+def test_a_line_in_another_format_is_as_far_away_as_check_says(tmp_path: Path) -> None:
+    stamps = _at_rates((RATE, 200.0), (RATE * 1.01, 200.0))
+    path = tmp_path / "rec.xdf"
+    path.write_bytes(_recording(stamps))
+    outcome = export(path, Task(["edf"], Selection()), lambda _name, _s: lambda _done: None)
+    (told,) = (each for each in outcome.written[0].notes if "from the recorded ones" in each)
+    bend = check(path.read_bytes()).streams[0].figures.bend
+    assert bend is not None
+    assert f"at most {bend.away_s * 1e3:.0f}" in told.replace(".", " ")

@@ -291,6 +291,14 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "EDF, Kubios, BIDS and features have a file or part for each rate; otherwise analyse the "
         "time before and after separately.",
     ),
+    "bent": Explanation(
+        "The rate changes a little during the recording",
+        "The sender's clock became faster or slower, or its rate changed by a few percent. Formats "
+        "and loaders with one rate for all samples give times that are wrong by up to the stated "
+        "seconds in the middle of the recording; no sample is missing for this reason.",
+        "Use the times of CSV or MCAP, or load the file with `dejitter_timestamps=False`. For EDF "
+        "and Kubios export shorter parts with `--begin` and `--end`.",
+    ),
     "no-offsets": Explanation(
         "Clock offsets were not measured",
         "This does not matter for streams of the recording computer, but streams of other "

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,8 @@ MAX_STAMP_ERROR_S = 30.0
 MAX_UPTIME_S = 366 * 86400.0
 # A stamp further from all that was measured of a clock while it was recorded is not that clock's.
 FAR_OFF_S = 86400.0
+# Timestamps that differ less from a straight line are as good as most clocks, in s.
+_LEAST_BEND_S = 0.05
 # No recording of a second or more is this short, also where stamps are not quite equal.
 _NO_TIME_S = 1e-6
 # Unix times from 2001 to 2286.
@@ -80,6 +83,13 @@ class ClockOffsets:
     resets: int = 0  # How often the clock restarted or was set.
 
 
+class Bend(NamedTuple):
+    """How far timestamps are from a straight line, because the rate is not constant."""
+
+    away_s: float
+    stamp_s: float  # A timestamp where they are.
+
+
 @dataclass(frozen=True, slots=True)
 class Figures:
     """Statistics of the samples of one stream."""
@@ -109,6 +119,7 @@ class Figures:
     part_error: str = ""
     """How many timestamps are not on the LSL clock, where others are; empty if none."""
     rate_changes: tuple[RateChange, ...] = ()
+    bend: Bend | None = None  # None if its timestamps lie on straight lines.
 
     @property
     def bounds(self) -> tuple[float, float] | None:
@@ -141,12 +152,16 @@ def _measure(stream: RecordedStream) -> Figures:
     is_ordered = not order_error(header, own, own.count)
     changes = stream.rate_changes if is_ordered else ()
     parts = _parts(header, changes)
-    pace = None
+    pace = bend = None
     if header.is_regular and not is_exact(header) and is_ordered:
         given = _cut(blocks(), [begin for begin, _ in parts])
         cuts = [cuts_of(some, part) for (_, part), some in zip(parts, given, strict=True)]
         paces = {begin: each.pace for (begin, _), each in zip(parts, cuts, strict=True) if each}
         pace = _joined_paces(paces, stream.sample_count)
+        if not clock.resets:
+            given = _cut(blocks(), [begin for begin, _ in parts])
+            bends = [_bend(some, each) for some, each in zip(given, cuts, strict=True)]
+            bend = max(filter(None, bends), default=None)
     stray = () if pace is None else pace.stray
     part_error = ""
     if not clock.resets:
@@ -187,6 +202,7 @@ def _measure(stream: RecordedStream) -> Figures:
         furthest_back_s=furthest_back_s,
         part_error=part_error,
         rate_changes=changes,
+        bend=bend,
     )
 
 
@@ -202,6 +218,38 @@ def _parts(
         (begin, replace(header, rate=rate_hz))
         for begin, rate_hz in zip(begins, rates_hz, strict=True)
     ]
+
+
+def _bend(blocks: Iterable[NDArray[np.float64]], cuts: Cuts | None) -> Bend | None:
+    """Return where timestamps are furthest from the lines of their runs.
+
+    Parameters
+    ----------
+    blocks
+        Of a part with one rate.
+    """
+    pace = None if cuts is None else cuts.pace
+    if cuts is None or pace is None or pace.standstills:
+        return None
+    worst: Bend | None = None
+    least_s = max(_LEAST_BEND_S, 1.5 * pace.period_s, 3 * pace.moves_s)
+    begins = [0, *cuts.numbers]
+    for run, stamps in enumerate(_cut(_without_values(blocks, pace.stray), begins)):
+        done = 0
+        for block in stamps:
+            count = len(block) // pace.window * pace.window
+            line = cuts.times(run, done, count)
+            done += len(block)
+            if line is None or not count:
+                continue
+            # What came late is above the line, and at least one sample of a window is on it.
+            rest_s = np.nan_to_num((block[:count] - line).reshape(-1, pace.window), nan=np.inf)
+            away_s = np.abs(rest_s.min(axis=1))
+            at = int(np.argmax(np.where(np.isfinite(away_s), away_s, 0.0)))
+            found = Bend(float(away_s[at]), float(block[at * pace.window]))
+            if least_s < found.away_s < math.inf and (worst is None or found > worst):
+                worst = found
+    return worst
 
 
 def _longest_at(change: RateChange, header: RecordedHeader, pace: Pace | None) -> float:
@@ -275,6 +323,20 @@ def _without(
         here = places[(places >= done) & (places < done + len(stamps))] - done
         done += len(stamps)
         yield np.delete(stamps, here) if len(here) else stamps
+
+
+def _without_values(
+    blocks: Iterable[NDArray[np.float64]], places: Sequence[int]
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the timestamps with NaN at some places."""
+    done = 0
+    for stamps in blocks:
+        here = [at - done for at in places if done <= at < done + len(stamps)]
+        done += len(stamps)
+        if here:
+            stamps = stamps.copy()  # noqa: PLW2901 - they may be those of the file
+            stamps[here] = np.nan
+        yield stamps
 
 
 def _within(

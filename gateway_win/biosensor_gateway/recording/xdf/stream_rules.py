@@ -367,6 +367,19 @@ def _rate(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield level, "rate", f"it runs at {rate:.4g} Hz instead of {nominal:.4g} Hz"
 
 
+def _bend(measured: Measured, extent: Extent) -> Iterator[Verdict]:
+    bend = measured.figures.bend
+    if bend is None:
+        return
+    at = extent.since_begin(bend.stamp_s, measured)
+    text = (
+        "its rate is not constant: a straight line through its timestamps is off by up to "
+        f"{seconds_text(bend.away_s, 3)} (at {at:.1f} s), and so are EDF, Kubios, BIDS and loaders "
+        "that make timestamps even"
+    )
+    yield Level.WARNING, "bent", text
+
+
 def _rate_changes(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     changes = measured.figures.rate_changes
     if len(changes) > MOST_CHANGES:
@@ -516,6 +529,7 @@ _RULES: tuple[Callable[[Measured, Extent], Iterator[Verdict]], ...] = (
     _counted,
     _gaps,
     _rate,
+    _bend,
     _extent,
     _offsets,
     _values,
