@@ -26,13 +26,15 @@ from biosensor_gateway.recording.export.outcome import Outcome, Written
 from biosensor_gateway.recording.replay import playback
 from biosensor_gateway.recording.replay.player import Player, PlayOptions
 from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.salvage.outcome import after_table, salvage
 from biosensor_gateway.recording.xdf.verdict import verdict
 from tests.page.test_whose import Page
 from tests.recording_export.bids_shapes import read
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S
 from tests.xdf import xdf_file as made
-from tests.xdf.checking import check
+from tests.xdf.checking import check, load_by_pyxdf
 
 Array = NDArray[np.float64]
 
@@ -56,14 +58,18 @@ def _signal(
     *,
     ends: bool = True,
 ) -> bytes:
+    header = made.stream_header(number, name, kind="ECG", rate=rate, source_id=f"id{number}")
+    parts = _chunks(stamps, number, chunk)
+    return header + b"".join(parts) + (made.footer(number, len(stamps)) if ends else b"")
+
+
+def _chunks(stamps: Array, number: int = 1, chunk: int = 100) -> list[bytes]:
     values = np.sin(np.arange(len(stamps), dtype=np.float32))[:, np.newaxis]
     rows, times = values.tolist(), stamps.tolist()
-    parts = [
+    return [
         made.samples(number, "float32", rows[at : at + chunk], times[at : at + chunk])
         for at in range(0, len(times), chunk)
     ]
-    header = made.stream_header(number, name, kind="ECG", rate=rate, source_id=f"id{number}")
-    return header + b"".join(parts) + (made.footer(number, len(stamps)) if ends else b"")
 
 
 def _events(
@@ -90,11 +96,18 @@ def _with_gap(at: int, step_s: float) -> bytes:
     return _signal(stamps)
 
 
-def _twice() -> bytes:
-    """A chunk of samples that was written twice, behind a header that was."""
-    stamps = _even()
+def _twice(*, behind: int = 0, counted: int = COUNT) -> bytes:
+    """A chunk of 100 samples that was written twice, behind a header that was."""
     header = made.stream_header(1, "ecg", kind="ECG", rate=RATE, source_id="id1")
-    return header + _signal(np.concatenate([stamps[:1000], stamps[900:1000], stamps[1000:]]))
+    parts = _chunks(_even())
+    parts.insert(10 + behind, parts[9])
+    return header + header + b"".join(parts) + made.footer(1, counted)
+
+
+def _stamped_again() -> bytes:
+    """Other samples have the timestamps of the 100 before."""
+    stamps = _even()
+    return _signal(np.concatenate([stamps[:1000], stamps[900:1000], stamps[1000:]]))
 
 
 def _begun_again() -> bytes:
@@ -130,6 +143,8 @@ SHAPES: dict[str, Sequence[bytes]] = {
     "a step of half a second": [_with_gap(1000, 0.5), _events()],
     "a stamp from the future": [_future(), _events()],
     "a chunk twice": [_twice(), _events()],
+    "a chunk twice, some chunks apart": [_twice(behind=3, counted=COUNT + 100), _events()],
+    "stamps that come again": [_stamped_again(), _events()],
     "a clock that began again": [_begun_again(), _events()],
     "two of one name": [_signal(_even()), _signal(_even(), 3), _events()],
     "lower-case markers": [_signal(_even()), _events(kind="markers")],
@@ -373,7 +388,9 @@ def test_features_read_each_signal_or_say_why_not(shape: str, tmp_path: Path) ->
         "overlaps": "even timestamps",
         "a stamp from the future": "far from those before and after",
         "a clock that was set back": "step",
-        "a chunk twice": "left out",
+        "a chunk twice": "in the file twice",
+        "a chunk twice, some chunks apart": "in the file twice",
+        "stamps that come again": "left out",
         "a clock that began again": "step",
         "unix stamps": "unix time",
         "no rate in the header": "names no rate",
@@ -504,3 +521,50 @@ def test_each_marker_is_in_one_file_at_least(
     assert outside == len(happened) - len(inside)
     for span, file in zip(spans, found, strict=True):
         assert {each for each in inside if span.begin_s <= each[0] < span.end_s} <= set(file)
+
+
+@pytest.mark.parametrize("shape", ["a chunk twice", "a chunk twice, some chunks apart"])
+def test_a_chunk_that_was_written_twice_is_one_truth(
+    shape: str, exported: Exporting, tmp_path: Path
+) -> None:
+    """Each sample is used once, by all, and all say it with one sentence."""
+    content = made.xdf(*SHAPES[shape])
+    said = "100 samples are in the file twice, each with its timestamp, and used once"
+    report = check(content)
+    (found,) = (each for each in report.findings if each.stream == "ecg" and said in each.text)
+    assert (found.code, found.level) == ("repeated", Level.WARNING)
+    assert {"backwards", "gaps", "late-first", "footer-count"}.isdisjoint(
+        each.code for each in report.findings
+    )
+    assert report.streams[0].stream.sample_count == COUNT
+    outcome = exported(content, "csv", "edf", "kubios", "bids", "mcap", batch=BATCH)
+    assert f"ecg: {said}" in outcome.clock_notes
+    (edf,) = _folder(outcome, "edf").glob("ecg*.bdf")
+    assert len(read_bdf(edf).signals[0].data) >= COUNT
+    path = tmp_path / "study.xdf"
+    assert f"ecg: {said}" in compute(path, tmp_path / "features.csv").remarks
+    with open_contents(path) as contents:
+        player = Player(choose(contents, Selection()), PlayOptions(), "hash")
+        assert f"warning: ecg: {said}" in list(playback.left_out(player))
+        assert len(_times(player.samples(player.streams[0]))) == COUNT
+    mended = tmp_path / "mended.xdf"
+    told = salvage(path, mended)
+    assert f"ecg: {said}" in list(after_table(told))
+    assert not check(mended.read_bytes()).can_be_salvaged
+    plain = check(made.xdf(*SHAPES["even"]))
+    assert check(mended.read_bytes()).findings == plain.findings
+    ecg = next(e for e in load_by_pyxdf(mended) if e["info"]["name"] == ["ecg"])
+    assert ecg["time_stamps"] == pytest.approx(_even())
+
+
+@pytest.mark.parametrize("kind", ["one marker", "a sensor on the table", "no timestamp"])
+def test_what_may_have_been_sent_twice_is_kept_twice(kind: str) -> None:
+    header = made.stream_header(1, "ecg", kind="ECG", rate=RATE, source_id="id1")
+    if kind == "one marker":
+        header = made.stream_header(1, "events", kind="Markers", fmt="string")
+        chunk = made.samples(1, "string", [["go"]], [BEGIN_S])
+    else:
+        stamp = None if kind == "no timestamp" else BEGIN_S
+        chunk = made.samples(1, "float32", [[0.0]] * 10, [stamp] * 10)
+    report = check(made.xdf(header, chunk, chunk))
+    assert report.streams[0].stream.sample_count == (2 if kind == "one marker" else 20)

@@ -180,18 +180,56 @@ def test_features_find_the_beats_of_each_part(case: str, tmp_path: Path) -> None
 # Smaller changes of the rate make no parts, but are told by what they cost.
 
 
-@pytest.mark.parametrize("percent", [0.5, 1.0, 2.0, 3.0, -1.0, -3.0])
+@pytest.mark.parametrize("percent", [0.3, 0.5, 1.0, -0.5, -1.0])
 @pytest.mark.parametrize("how", ["exact", "in bursts", "delayed"])
 def test_a_line_that_is_far_from_the_stamps_is_told(percent: float, how: str) -> None:
-    stamps = _at_rates((RATE, 200.0), (RATE * (1 + percent / 100), 200.0))
-    changed = {"exact": stamps, "in bursts": _in_bursts(stamps), "delayed": _delayed(stamps)}[how]
-    report = check(_recording(changed))
-    (found,) = (each for each in report.findings if each.code == "bent")
+    report = check(_recording(_changed(percent, how)))
+    (found,) = (each for each in report.findings if each.code in {"bent", "rate-change"})
     assert found.level is Level.WARNING
-    # No line is nearer than half of how far one through either half is from the other end.
-    bend = report.streams[0].figures.bend
-    assert bend is not None
-    assert bend.away_s > 0.9 * abs(percent) / 100 * 200 / 4
+    (stream,) = report.streams
+    assert stream.figures.gaps.count == 0
+    if found.code == "bent":
+        assert stream.figures.bend is not None
+        # No line is nearer than half of how far one through either half is from the other end.
+        assert stream.figures.bend.away_s > 0.9 * abs(percent) / 100 * 200 / 4
+
+
+@pytest.mark.parametrize("percent", [1.5, 2.0, 3.0, 4.0, -1.5, -2.0, -3.0, -4.0])
+@pytest.mark.parametrize("how", ["exact", "in bursts", "delayed"])
+def test_a_small_change_makes_two_parts_and_no_loss(percent: float, how: str) -> None:
+    report = check(_recording(_changed(percent, how)))
+    (found,) = (each for each in report.findings if each.code == "rate-change")
+    assert found.level is Level.WARNING
+    (stream,) = report.streams
+    (change,) = stream.figures.rate_changes
+    rates = [change.before_hz, change.after_hz]
+    assert rates == pytest.approx([RATE, RATE * (1 + percent / 100)], rel=0.003)
+    assert change.stamp_s == pytest.approx(1200.0, abs=4.0)
+    assert stream.figures.gaps.count == 0
+    assert stream.figures.bend is None or stream.figures.bend.away_s < 0.1
+
+
+@pytest.mark.parametrize("share", [0.02, 0.04])
+def test_a_few_exact_stamps_that_are_missing_by_chance_are_no_small_change(share: float) -> None:
+    stamps = _at_rates((RATE, 400.0))
+    is_here = np.random.default_rng(1).random(len(stamps)) > share
+    is_here[: len(stamps) // 2] = True
+    (stream,) = check(_recording(stamps[is_here])).streams
+    assert stream.figures.rate_changes == ()
+    assert stream.figures.gaps.lost == pytest.approx(np.count_nonzero(~is_here), abs=3)
+
+
+@pytest.mark.parametrize("seconds", [7.0, 30.0, 120.0])
+def test_a_rate_that_wanders_all_the_time_makes_no_parts(seconds: float) -> None:
+    """As of a game or a camera."""
+    rates = 60.0 * (1 + 0.02 * np.sin(2 * np.pi * np.arange(0, 600, 1 / 60) / seconds))
+    (stream,) = check(_recording(1000.0 + np.cumsum(1 / rates), rate=60.0)).streams
+    assert stream.figures.rate_changes == ()
+
+
+def _changed(percent: float, how: str) -> Array:
+    stamps = _at_rates((RATE, 200.0), (RATE * (1 + percent / 100), 200.0))
+    return {"exact": stamps, "in bursts": _in_bursts(stamps), "delayed": _delayed(stamps)}[how]
 
 
 @pytest.mark.parametrize("name", stamped.HARMLESS)

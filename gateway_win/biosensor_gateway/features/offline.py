@@ -41,6 +41,7 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.participants import compare_file
 from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.recording.xdf.pace import stray_text
+from biosensor_gateway.recording.xdf.recording import repeated_text
 from biosensor_gateway.system.new_file import new_file
 
 SUFFIXES = (".xdf", ".csv")
@@ -117,6 +118,8 @@ def _on_times(contents: Contents, read: Sequence[Stream]) -> Iterator[str]:
                 f"{title}: {each.untimed} samples are left out, because their timestamps are not "
                 "numbers"
             )
+        if each.repeated:
+            yield f"{title}: {repeated_text(each.repeated)}"
         if why := each.clock_error or each.part_error:
             yield f"{title}: {why}, so the times of its features are in doubt"
         for span in each.clock.doubtful_spans:

@@ -15,7 +15,7 @@ from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall
 from biosensor_gateway.recording.recorder.state import require_ended
 from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
 from biosensor_gateway.recording.xdf.event_rules import other_agent_told
-from biosensor_gateway.recording.xdf.figures import cuts_of, first_of, is_exact, may_have_rate
+from biosensor_gateway.recording.xdf.figures import cuts_of, first_of, may_have_rate
 from biosensor_gateway.recording.xdf.pace import Cuts, Pace, find_pace, rate_of
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, RateChange
 from biosensor_gateway.recording.xdf.recording import StreamSorter
@@ -206,7 +206,7 @@ def _true_rate(stream: Stream) -> float | None:
 def _pace(stream: Stream) -> Pace | None:
     """Return the pace of the first samples; None if each stamp is exact, or there are too few."""
     header = stream.header
-    if not header.is_regular or header.is_markers or is_exact(header) or stream.order_error:
+    if not header.is_regular or header.is_markers or header.has_exact_stamps or stream.order_error:
         return None
     stamps = first_of(samples.stamps for samples in stream.blocks())
     return find_pace(stamps, header.rate) if len(stamps) >= MIN_SAMPLES_FOR_RATE else None

@@ -30,7 +30,6 @@ from biosensor_gateway.recording.xdf.figures import (
     clock_bounds,
     clock_error,
     is_between,
-    is_exact,
     off_in_part,
     order_error,
 )
@@ -69,6 +68,7 @@ class IndexedStream:
     clock_offsets: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     footer: Footer | None = None  # None if the recorder did not write one.
     sample_count: int = 0
+    repeated: int = 0  # Number of samples in chunks that were written once more, and left out.
     guessed_texts: int = 0  # Number of texts that are not UTF-8, so their encoding was guessed.
     untimed: int = 0  # Number of samples with a NaN or infinite timestamp.
     # earliest, latest: range of the other timestamps.
@@ -116,7 +116,7 @@ class IndexedStream:
 
     def _note_leap(self, stamps: NDArray[np.float64]) -> None:
         """Remember a chunk whose timestamps jump, within it or from the one before."""
-        if len(self._leaps) > 2 * _MOST_LEAPS or is_exact(self.header):
+        if len(self._leaps) > 2 * _MOST_LEAPS or self.header.has_exact_stamps:
             return
         far_s = max(STEP_BACK_S, 10.0 / self.header.rate)
         before = [self._last] if self.sample_count else []
@@ -289,6 +289,8 @@ class Stream:
         self.byte_count = indexed.byte_count  # Size of its samples and timestamps in the file.
         # Number of samples with a NaN or infinite timestamp; `blocks` leaves them out.
         self.untimed = indexed.untimed
+        # Number of samples in chunks that were written once more; `blocks` leaves these out.
+        self.repeated = indexed.repeated
         self.is_unclosed = indexed.header.lacks(indexed.footer, indexed.sample_count)
         # Whether its header or a text is not UTF-8, so the encoding was guessed.
         self.is_guessed = indexed.header.is_guessed or indexed.guessed_texts > 0

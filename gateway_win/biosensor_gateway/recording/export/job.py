@@ -41,6 +41,7 @@ from biosensor_gateway.recording.participants import (
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.event_rules import pauses_told
 from biosensor_gateway.recording.xdf.pace import stray_text
+from biosensor_gateway.recording.xdf.recording import repeated_text
 from biosensor_gateway.system.new_file import new_place
 
 Watch = Callable[[str, float], Progress]
@@ -196,23 +197,27 @@ def _clock_notes(chosen: Chosen, task: Task) -> Iterator[str]:
             f"the clock of {streams} was never measured ({', '.join(unmeasured[:3])}"
             f"{', ...' if len(unmeasured) > 3 else ''}): their timestamps are as recorded"
         )
+    raw = " and ".join(name for name in task.formats if name in _AS_RECORDED)
     for each in chosen.streams:
-        if each.untimed:
-            samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
-            yield Missing(
-                f"{each.header.title}: {samples} left out, because their timestamps are not numbers"
-            )
-        if each.clock.unused:
-            yield f"{each.header.title}: {each.clock.unused}"
-        for span in each.clock.doubtful_spans:
-            yield f"{each.header.title}: {span.text(chosen.contents.begin_s)}"
-        raw = " and ".join(name for name in task.formats if name in _AS_RECORDED)
-        if each.stray and raw:
-            yield f"{each.header.title}: {stray_text(len(each.stray))}, as recorded also in {raw}"
-        if why := each.clock_error or each.part_error:
-            yield Missing(
-                f"{each.header.title}: {why}, so its time relative to the other streams is unknown"
-            )
+        yield from _stream_notes(each, chosen.contents.begin_s, raw)
+
+
+def _stream_notes(stream: Stream, zero_s: float, raw: str) -> Iterator[str]:
+    """Yield notes about the samples of a stream, where `raw` names the formats as recorded."""
+    title = stream.header.title
+    if stream.untimed:
+        samples = "1 sample is" if stream.untimed == 1 else f"{stream.untimed} samples are"
+        yield Missing(f"{title}: {samples} left out, because their timestamps are not numbers")
+    if stream.repeated:
+        yield f"{title}: {repeated_text(stream.repeated)}"
+    if stream.clock.unused:
+        yield f"{title}: {stream.clock.unused}"
+    for span in stream.clock.doubtful_spans:
+        yield f"{title}: {span.text(zero_s)}"
+    if stream.stray and raw:
+        yield f"{title}: {stray_text(len(stream.stray))}, as recorded also in {raw}"
+    if why := stream.clock_error or stream.part_error:
+        yield Missing(f"{title}: {why}, so its time relative to the other streams is unknown")
 
 
 def _event_notes(chosen: Chosen, recorded: Mapping[str, DeviceIdentity | None]) -> Iterator[str]:

@@ -15,7 +15,7 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.exporter import Times
 from biosensor_gateway.recording.export.time_axis import FittedLine
-from biosensor_gateway.recording.xdf.figures import cuts_of, is_exact, longest_step_s
+from biosensor_gateway.recording.xdf.figures import cuts_of, longest_step_s
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, STEP_BACK_S, Cuts, stray_text
 
 _BATCHES_IN_SECTION = 64
@@ -125,7 +125,7 @@ def on_line(
     if has_even_times(stream, times):
         runs = Runs(chosen, stream, times)
         return runs, runs.cuts
-    if is_exact(stream.header) or not stream.header.is_regular:
+    if stream.header.has_exact_stamps or not stream.header.is_regular:
         return None, None
     runs = Runs(chosen, stream, Times.EVEN)
     # To find the cuts costs a pass through all samples, so the caller gets them also without runs.

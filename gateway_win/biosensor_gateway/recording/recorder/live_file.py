@@ -43,7 +43,6 @@ from biosensor_gateway.recording.xdf.figures import (
     Gap,
     Gaps,
     find_gaps,
-    is_exact,
     joined,
 )
 from biosensor_gateway.recording.xdf.findings import Finding, Level, other_participants
@@ -320,7 +319,7 @@ class _StreamReader:
         self._offset = 0.0
         # Single timestamps of other programs are inexact, so gaps are found later, in sections.
         self._cuts: Cuts | None = None
-        if header.is_regular and not is_exact(header):
+        if header.is_regular and not header.has_exact_stamps:
             self._cuts = Cuts(header.rate, max(_FEWEST, math.ceil(_SECTION_S * header.rate)))
 
     @property

@@ -23,6 +23,7 @@ from biosensor_gateway.recording.replay.source import (
 from biosensor_gateway.recording.replay.stream_outlet import NAMELESS
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.pace import stray_text
+from biosensor_gateway.recording.xdf.recording import repeated_text
 from biosensor_gateway.settings.places import state_folder
 
 SEARCH_S = 2.0
@@ -173,6 +174,8 @@ def left_out(player: Player) -> Iterator[str]:
         if each.untimed:
             samples = "1 sample is" if each.untimed == 1 else f"{each.untimed} samples are"
             yield f"warning: {name}: {samples} not played, because their stamps are not numbers"
+        if each.repeated:
+            yield f"warning: {name}: {repeated_text(each.repeated)}"
         if each.part_error:
             yield f"warning: {name}: {each.part_error}; those samples are not played"
         elif each.stray:

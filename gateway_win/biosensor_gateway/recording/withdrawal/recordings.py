@@ -173,6 +173,7 @@ class _Kept:
     first: float = 0.0
     last: float = 0.0
     sample_count: int = 0
+    repeated: int = 0
     read_last: float = 0.0
 
     def take_samples(self, chunk: Chunk) -> None:

@@ -291,6 +291,12 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "EDF, Kubios, BIDS and features have a file or part for each rate; otherwise analyse the "
         "time before and after separately.",
     ),
+    "repeated": Explanation(
+        "Samples that are in the file twice",
+        "The recorder wrote a block of samples once more. Nothing is missing. This program uses "
+        "each sample once; pyxdf and EEGLAB load both, and their times step back there.",
+        "Run `xdf salvage`, which writes a file with each sample once, for other programs.",
+    ),
     "bent": Explanation(
         "The rate changes a little during the recording",
         "The sender's clock became faster or slower, or its rate changed by a few percent. Formats "

@@ -153,7 +153,7 @@ def _measure(stream: RecordedStream) -> Figures:
     changes = stream.rate_changes if is_ordered else ()
     parts = _parts(header, changes)
     pace = bend = None
-    if header.is_regular and not is_exact(header) and is_ordered:
+    if header.is_regular and not header.has_exact_stamps and is_ordered:
         given = _cut(blocks(), [begin for begin, _ in parts])
         cuts = [cuts_of(some, part) for (_, part), some in zip(parts, given, strict=True)]
         paces = {begin: each.pace for (begin, _), each in zip(parts, cuts, strict=True) if each}
@@ -402,11 +402,6 @@ def may_have_rate(header: RecordedHeader) -> bool:
     return is_signal and not header.is_regular and not header.is_ours
 
 
-def is_exact(header: RecordedHeader) -> bool:
-    """Whether each timestamp is exact: in our streams, and where samples may be missing."""
-    return header.is_ours or header.can_drop_samples
-
-
 def cuts_of(
     blocks: Iterable[NDArray[np.float64]], header: RecordedHeader, section: int = SECTION
 ) -> Cuts | None:
@@ -425,7 +420,7 @@ def cuts_of(
         None if the timestamps are exact, so single steps are enough; see `longest_step_s`. Also
         if the stream is irregular, which has no gaps.
     """
-    if is_exact(header) or not header.is_regular:
+    if header.has_exact_stamps or not header.is_regular:
         return None
     cuts = Cuts(header.rate, min(section, section_of(header.rate)))
     for times in blocks:
@@ -471,7 +466,7 @@ def longest_step_s(header: RecordedHeader) -> float:
     """
     if not header.is_regular:
         return math.inf
-    return max(GAP_PERIODS / header.rate, 0.0 if is_exact(header) else FOREIGN_JITTER_S)
+    return max(GAP_PERIODS / header.rate, 0.0 if header.has_exact_stamps else FOREIGN_JITTER_S)
 
 
 def find_gaps(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Gaps:

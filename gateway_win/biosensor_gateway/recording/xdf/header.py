@@ -115,6 +115,11 @@ class RecordedHeader:
         return self.rate > 0
 
     @property
+    def has_exact_stamps(self) -> bool:
+        """Whether each timestamp is exact: in our streams, and where samples may be missing."""
+        return self.is_ours or self.can_drop_samples
+
+    @property
     def is_markers(self) -> bool:
         """Whether the stream has events rather than measurements.
 

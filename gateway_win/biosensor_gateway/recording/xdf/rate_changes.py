@@ -22,11 +22,15 @@ Array = NDArray[np.float64]
 Read = Callable[[int, int], Array]
 """Returns the timestamps from one index to before another, in the order of the file."""
 
-# A rate that differs by a smaller fraction is that of a clock, or jitter.
-_LEAST = 0.05
-# Of neighbouring spans of a constant rate, so many percent differ by less than this fraction. Where
+SMALL_CHANGE = 0.05
+"""A rate that differs by a smaller fraction may be that of a clock, or jitter."""
+# Of neighbouring spans of a constant rate, so many percent differ by less than half of
+# that. Where
 # the longest spans differ by more, only a change of several times as much is one.
-_MOST_PERCENT, _ALIKE, _WORST, _TIMES = 70, _LEAST / 2, 0.15, 3
+_MOST_PERCENT, _WORST, _TIMES = 70, 0.15, 3
+# A smaller change, down to this fraction, must explain most of the distance from one line, which is
+# at least so much in s, and a stream has at most so many.
+_LEAST_SMALL, _EXPLAINED, _LEAST_AWAY_S, _MOST_SMALL = 0.01, 0.8, 0.1, 3
 # Number of spans that must have the new rate, and before it the old one; one may be odd.
 _SPANS = 4
 _SHORTEST_S = 1.0
@@ -87,8 +91,12 @@ class Curve:
         if not header.is_regular or header.is_markers or self._count < 2 * _SPANS:
             return ()
         with np.errstate(all="ignore"):
-            length, periods_s, least = self._spans()
+            length, periods_s, least = self._spans(SMALL_CHANGE)
             found = _without_delays(_cuts(periods_s, least), periods_s, least)
+            if not found and not header.has_exact_stamps:
+                length, periods_s, least = self._spans(_LEAST_SMALL)
+                found = _cuts(periods_s, least)
+                found = found if self._explains(found, length) else []
         changes: list[RateChange] = []
         for at, before_s, after_s in found:
             begin, end = max(0, (at - 2) * length), min(self._count, (at + 2) * length + 1)
@@ -118,10 +126,25 @@ class Curve:
         ends = zip(changes, rates_hz[:-1], rates_hz[1:], strict=True)
         return tuple(replace(e, before_hz=before, after_hz=after) for e, before, after in ends)
 
-    def _spans(self) -> tuple[int, Array, float]:
+    def _explains(self, cuts: Sequence[_Cut], length: int) -> bool:
+        """Whether lines between these cuts are much closer to the timestamps than one line is."""
+        if not 0 < len(cuts) <= _MOST_SMALL:
+            return False
+        points = _filled(np.array(self._points))
+        bounds = [0, *(each.at * length // self._every for each in cuts), len(points)]
+        whole_s = _away_s(points)
+        parts_s = max(_away_s(points[begin:end]) for begin, end in pairwise(bounds))
+        return whole_s > _LEAST_AWAY_S and parts_s < (1 - _EXPLAINED) * whole_s
+
+    def _spans(self, small: float) -> tuple[int, Array, float]:
         """Return the length of spans in samples, the sample period in each, and the least change.
 
         Spans are so long that most are alike; there is none if they never are.
+
+        Parameters
+        ----------
+        small
+            A change by a smaller fraction is none.
         """
         points = _filled(np.array(self._points))
         # Samples of a burst have one timestamp.
@@ -129,7 +152,7 @@ class Curve:
         usual_s = float(np.median(points[lag:] - points[:-lag])) / lag
         least = max(1, math.ceil(_SHORTEST_S / usual_s)) if usual_s > _NO_TIME_S else 1
         longest = (len(points) // (2 * _SPANS * least)).bit_length()
-        found, least_move = (0, np.empty(0), _LEAST), _WORST
+        found, least_move = (0, np.empty(0), small), _WORST
         for count in (least << doubled for doubled in range(longest)):
             periods_s = np.diff(points[::count]) / (count * self._every)
             moves = np.abs(np.diff(np.log(periods_s)))
@@ -138,10 +161,18 @@ class Curve:
             move = float(np.percentile(moves, _MOST_PERCENT))
             if move < least_move:
                 least_move = move
-                found = count * self._every, periods_s, max(_LEAST, _TIMES * move)
-            if move < _ALIKE:
+                found = count * self._every, periods_s, max(small, _TIMES * move)
+            if move < small / 2:
                 break
         return found
+
+
+def _away_s(stamps: Array) -> float:
+    """Return how far a line is from timestamps, from the 5th to the 95th percentile."""
+    number = np.arange(len(stamps)) - (len(stamps) - 1) / 2
+    squares = float(number @ number)
+    rest = stamps - (float(number @ stamps) / squares if squares else 0.0) * number
+    return float(np.ptp(np.percentile(rest, (5, 95))))
 
 
 def _filled(stamps: Array) -> Array:
@@ -233,9 +264,11 @@ def _is_loss(stamps: Array, fast_s: float) -> bool:
         return False
     periods = np.rint(steps / least_s)
     is_whole = np.abs(steps / least_s - periods) < _WHOLE * periods
+    # Of a smaller change, half of what would be missing is enough.
+    by_chance = min(_BY_CHANCE, (float(np.mean(steps)) / fast_s - 1) / 2)
     is_by_chance = np.count_nonzero(is_whole) > _NEARLY_ALL * len(steps) and np.count_nonzero(
         periods > 1
-    ) > _BY_CHANCE * len(steps)
+    ) > by_chance * len(steps)
     has_gaps = float(np.mean(steps)) > (1 + 3 * _WHOLE) * fast_s
     is_usual = abs(float(np.median(steps)) / fast_s - 1) < _WHOLE
     return bool(is_by_chance or (has_gaps and is_usual))

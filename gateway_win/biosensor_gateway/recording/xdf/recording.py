@@ -10,8 +10,9 @@ from __future__ import annotations
 import sys
 import tempfile
 import weakref
+import zlib
 from array import array
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count, pairwise
@@ -41,7 +42,12 @@ from biosensor_gateway.recording.xdf.header import (
     parse_stream_header,
 )
 from biosensor_gateway.recording.xdf.rate_changes import Curve, RateChange
-from biosensor_gateway.recording.xdf.samples import Constants, decode, decode_clock_offset
+from biosensor_gateway.recording.xdf.samples import (
+    STAMP_BYTES,
+    Constants,
+    decode,
+    decode_clock_offset,
+)
 from biosensor_gateway.recording.xdf.sender_clock import (
     ASKED_EVERY_S,
     SenderClock,
@@ -53,10 +59,21 @@ from biosensor_gateway.recording.xdf.sender_clock import (
 _MOST_IN_MEMORY = _BLOCK = 1 << 16
 # Recorders count from 1, and a number that is given must not be that of a stream further down.
 _FIRST_FREE = 100_001
+# A chunk is compared with so many before it, in 30 s of a usual recorder.
+_MOST_APART = 64
 
 
 class TakesChunks(Protocol):
-    """One stream; on an invalid chunk its methods raise `ChunkError` and change nothing."""
+    """One stream; on an invalid chunk its methods raise `ChunkError` and change nothing.
+
+    Attributes
+    ----------
+    repeated
+        Number of samples in chunks that were written once more; these chunks are not taken.
+    """
+
+    header: RecordedHeader
+    repeated: int
 
     def take_samples(self, chunk: Chunk, /) -> None:
         """Add the samples of a chunk."""
@@ -126,6 +143,8 @@ class StreamSorter(Generic[_StreamT]):
         # Likewise, where the first samples of those are that have no header, also no damaged one.
         self.headless: dict[int, tuple[int, int]] = {}
         self._unread: set[int] = set()
+        # By stream number, length, check sum and first timestamp of its newest chunks of samples.
+        self._newest: dict[int, deque[tuple[int, int, bytes]]] = {}
 
     def take(self, chunk: Chunk) -> Chunk:
         """Process one chunk, and return it with the number of its stream.
@@ -199,7 +218,10 @@ class StreamSorter(Generic[_StreamT]):
             return chunk
         stream, chunk = self.streams[number], chunk.of_stream(number)
         if chunk.tag is Tag.SAMPLES:
-            stream.take_samples(chunk)
+            if repeated := self._repeated(number, chunk, stream.header):
+                stream.repeated += repeated
+            else:
+                stream.take_samples(chunk)
         elif chunk.tag is Tag.CLOCK_OFFSET:
             measured = decode_clock_offset(chunk.body)
             if measured is not None:
@@ -207,6 +229,33 @@ class StreamSorter(Generic[_StreamT]):
         else:
             stream.take_footer(parse_footer(bytes(chunk.body)), chunk)
         return chunk
+
+    def _repeated(self, number: int, chunk: Chunk, header: RecordedHeader) -> int:
+        """Return the number of samples of a chunk if it is one of the newest once more, or 0.
+
+        It must have a timestamp, and not all of its samples may be the same, as those of a sensor
+        that lies on the table are while its sender's clock stands still.
+        """
+        body = chunk.body
+        first = 1 + (body[0] if len(body) else 0)
+        if len(body) <= first or body[first] != STAMP_BYTES:
+            return 0
+        stamp = bytes(body[first + 1 : first + 1 + STAMP_BYTES])
+        key = len(body), zlib.crc32(body), stamp
+        newest = self._newest.setdefault(number, deque(maxlen=_MOST_APART))
+        if key not in newest:
+            newest.append(key)
+            return 0
+        block = decode(body, header, 0.0)
+        rows = [tuple(row) for row in block.values]
+        is_one = all(row == rows[0] for row in rows) and block.stamps[0] == block.stamps[-1]
+        return 0 if is_one else len(rows)
+
+
+def repeated_text(count: int) -> str:
+    """Return the sentence about samples in chunks that were written once more."""
+    samples = "1 sample is" if count == 1 else f"{count} samples are"
+    return f"{samples} in the file twice, each with its timestamp, and used once"
 
 
 class _Stamps:
@@ -284,6 +333,7 @@ class RecordedStream:
     nan_counts: NDArray[np.int64]
     clock_offsets: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     footer: Footer | None = None
+    repeated: int = 0  # As of `TakesChunks`.
     texts: list[str] = field(default_factory=list[str])
     guessed_texts: int = 0
     _stamps: _Stamps = field(default_factory=_Stamps)

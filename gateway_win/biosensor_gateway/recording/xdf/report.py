@@ -151,7 +151,7 @@ class Report:
     def can_be_salvaged(self) -> bool:
         """Whether the file is truncated, damaged or joined, but samples can be read.
 
-        A last sample with a timestamp far away counts as damage.
+        A last sample with a timestamp far away counts as damage, as do samples written twice.
         """
         if any(each.code == "going-on" for each in self.findings):
             return False
@@ -159,6 +159,7 @@ class Report:
         is_open = any(each.is_unclosed for each in recording.streams)
         damages = [each for each in recording.damages if not each.is_foreign]
         is_broken = bool(damages or recording.orphans or recording.renumbered)
+        is_broken |= any(each.repeated for each in recording.streams)
         ends = (each.figures.pace for each in self.streams)
         is_broken |= any(pace is not None and pace.ends_astray for pace in ends)
         # Of a header that cannot be read, salvaging may fix the form.

@@ -28,7 +28,7 @@ _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.INT16: np.dtype("<i2"),
     ChannelFormat.INT8: np.dtype("<i1"),
 }
-_STAMP_BYTES = 8
+STAMP_BYTES = 8
 _CLOCK_OFFSET = struct.Struct("<dd")
 _LENGTH_SIZES = frozenset({1, 4, 8})
 
@@ -185,16 +185,16 @@ def _decode_numbers(
     if len(body) == count * stamped.itemsize:
         # In most chunks every sample has a timestamp, so all samples have the same size.
         samples = np.frombuffer(body, stamped)
-        if bool((samples["size"] == _STAMP_BYTES).all()):
+        if bool((samples["size"] == STAMP_BYTES).all()):
             return Block(samples["stamp"].copy(), samples["values"])
     value_bytes = header.channel_count * dtype.itemsize
     if count * (1 + value_bytes) > len(body):
         raise ChunkError("it is too short for its number of samples")
     offsets = _sample_offsets(body, count, value_bytes)
     raw = np.frombuffer(body, np.uint8)
-    is_stamped = raw[offsets] == _STAMP_BYTES
+    is_stamped = raw[offsets] == STAMP_BYTES
     given = _gather(raw, offsets[is_stamped] + 1, np.dtype("<f8"), 1)[:, 0]
-    starts = offsets + 1 + np.where(is_stamped, _STAMP_BYTES, 0)
+    starts = offsets + 1 + np.where(is_stamped, STAMP_BYTES, 0)
     values = _gather(raw, starts, dtype, header.channel_count)
     return Block(
         _complete(given, is_stamped, last_stamp, period),
@@ -215,7 +215,7 @@ def record(channel_format: ChannelFormat, channel_count: int) -> np.dtype[Any]:
 
 def _sample_offsets(body: memoryview, count: int, value_bytes: int) -> NDArray[np.int64]:
     """Return where each sample begins."""
-    steps = {0: 1 + value_bytes, _STAMP_BYTES: 1 + _STAMP_BYTES + value_bytes}
+    steps = {0: 1 + value_bytes, STAMP_BYTES: 1 + STAMP_BYTES + value_bytes}
     offsets: list[int] = []
     position = 0
     try:
@@ -286,8 +286,8 @@ def _text_stamp(
     size = body[position] if position < len(body) else None
     if size == 0:
         return last_stamp + period, position + 1
-    end = position + 1 + _STAMP_BYTES
-    if size != _STAMP_BYTES or end > len(body):
+    end = position + 1 + STAMP_BYTES
+    if size != STAMP_BYTES or end > len(body):
         raise ChunkError("its samples cannot be distinguished")
     return float(np.frombuffer(body[position + 1 : end], "<f8")[0]), end
 

@@ -15,7 +15,8 @@ from biosensor_gateway.recording.xdf.event_rules import Absence, Spell
 from biosensor_gateway.recording.xdf.figures import seconds_text
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level
 from biosensor_gateway.recording.xdf.pace import Pace
-from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES
+from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, SMALL_CHANGE
+from biosensor_gateway.recording.xdf.recording import repeated_text
 from biosensor_gateway.recording.xdf.report import LATE_S, Extent, Measured, last_asked
 from biosensor_gateway.recording.xdf.samples import flat_text
 from biosensor_gateway.recording.xdf.sender_clock import (
@@ -175,6 +176,7 @@ def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
 
 def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     held, footer = measured.stream.sample_count, measured.stream.footer
+    written = held + measured.stream.repeated
     if footer is None and not measured.stream.header.source_id:
         text = "it has no footer: its program ended before the recording did"
         yield Level.WARNING, "no-footer", text
@@ -191,7 +193,7 @@ def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     elif held and footer.sample_count == held - 1:
         text = "its footer counts one sample less: older LabRecorders do not count the first"
         yield Level.NOTE, "footer-count", text
-    elif footer.sample_count != held:
+    elif footer.sample_count not in {held, written}:
         text = f"its footer counts {footer.sample_count} samples, the file holds {held}"
         yield Level.ERROR, "footer-count", text
 
@@ -227,6 +229,8 @@ def _stamps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
         yield Level.ERROR, "wrong-clock", figures.clock_error
     if figures.part_error:
         yield Level.ERROR, "wrong-clock", figures.part_error
+    if measured.stream.repeated:
+        yield Level.WARNING, "repeated", repeated_text(measured.stream.repeated)
     if figures.bad_stamps:
         yield Level.ERROR, "bad-stamps", f"{figures.bad_stamps} of its timestamps are not numbers"
     if figures.pace is not None and figures.pace.stray:
@@ -392,7 +396,8 @@ def _rate_changes(measured: Measured, extent: Extent) -> Iterator[Verdict]:
             f"from {at:.1f} s on it runs at {each.after_hz:.4g} Hz, before at {each.before_hz:.4g} "
             "Hz: its sender got other settings, or samples are missing evenly"
         )
-        yield Level.ERROR, "rate-change", text
+        is_small = abs(math.log(each.after_hz / each.before_hz)) < SMALL_CHANGE
+        yield Level.WARNING if is_small else Level.ERROR, "rate-change", text
 
 
 def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:

@@ -39,7 +39,6 @@ from biosensor_gateway.recording.export.runs import (
     stretches,
 )
 from biosensor_gateway.recording.export.time_axis import Part, Timing
-from biosensor_gateway.recording.xdf.figures import is_exact
 
 LONGEST_FILLED_S = 10.0
 """A longer gap starts a new run."""
@@ -224,7 +223,7 @@ def write_emg(
     OSError
         If a file cannot be written.
     """
-    is_even = options.times is Times.EVEN or not is_exact(stream.header)
+    is_even = options.times is Times.EVEN or not stream.header.has_exact_stamps
     cut = Runs(chosen, stream, Times.EVEN if is_even else Times.RECORDED)
     runs = cut.found()
     longest_s = LONGEST_JOINED_S if options.times is Times.EVEN else LONGEST_FILLED_S

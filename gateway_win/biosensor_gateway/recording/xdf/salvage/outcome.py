@@ -28,6 +28,7 @@ from biosensor_gateway.recording.xdf.container import (
 )
 from biosensor_gateway.recording.xdf.figures import Course, clock_error
 from biosensor_gateway.recording.xdf.report_text import finite, printable
+from biosensor_gateway.recording.xdf.recording import repeated_text
 from biosensor_gateway.recording.xdf.salvage.survey import (
     Break,
     KeptStream,
@@ -271,6 +272,7 @@ def as_json(outcome: Outcome) -> str:
                 "lost": _lost(stream),
                 "lost_is_exact": _counted_before(stream) is not None,
                 "cut": stream.cut is not None,
+                "repeated": stream.repeated,
                 "restamped": len(stream.restamps),
                 "untimed": stream.untimed,
                 "new_footer": number in outcome.closed,
@@ -301,7 +303,9 @@ def before_table(outcome: Outcome) -> Iterator[str]:
         )
         return
     if not places:
-        what = "was not closed" if known.unclosed else "lacks headers of streams"
+        what = "was not closed" if known.unclosed else "holds samples twice"
+        if known.orphans and not known.unclosed:
+            what = "lacks headers of streams"
         if known.new_headers and not known.unclosed and not known.orphans:
             what = "has headers that other programs cannot read, or lacks some"
         elif known.renumbered and not known.unclosed:
@@ -351,7 +355,11 @@ def _counted_before(stream: KeptStream) -> int | None:
 
 def _lost(stream: KeptStream) -> int:
     counted = _counted_before(stream)
-    return stream.lost if counted is None else max(0, counted - stream.sample_count)
+    if counted is None:
+        return stream.lost
+    # A recorder may have counted what it wrote, or what it received.
+    held = stream.sample_count + stream.repeated
+    return 0 if counted == held else max(0, counted - stream.sample_count)
 
 
 def _lost_text(stream: KeptStream) -> str:
@@ -387,6 +395,8 @@ def _stamps_text(stream: KeptStream) -> Iterator[str]:
             f"{name}: its last sample was cut off, because its timestamp is wrong: the outlet "
             "closed while it was recorded"
         )
+    if stream.repeated:
+        yield f"{name}: {repeated_text(stream.repeated)}"
     if stream.restamps:
         yield (
             f"{name}: the timestamps after {len(stream.restamps)} of the damaged places are "

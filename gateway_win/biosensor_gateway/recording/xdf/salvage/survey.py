@@ -88,6 +88,7 @@ class KeptStream:
     lost: int = 0  # Estimated number of samples lost in the damage.
     # Number of samples after damage whose time is unknown, because no timestamp follows.
     untimed: int = 0
+    repeated: int = 0  # Number of samples in chunks that were written once more, and are removed.
     footer: Footer | None = None
     footer_at: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
     breaks: list[Break] = field(default_factory=list[Break])
@@ -248,7 +249,7 @@ class Survey:
         """Whether it has streams, and nothing needs to be fixed."""
         broken = self.damages or self.orphans or self.unclosed or self.new_headers
         broken = broken or self.renumbered
-        broken = broken or any(each.cut for each in self.streams.values())
+        broken = broken or any(each.cut or each.repeated for each in self.streams.values())
         return bool(self.streams) and not broken
 
     @property
@@ -329,11 +330,21 @@ class _Surveyor:
 
     def take(self, chunk: Chunk) -> None:
         count = self._sorter.orphans.total()
+        repeated = self._repeated
         taken = self._sorter.take(chunk)
         if self._sorter.orphans.total() > count:
+            orphans = self._orphans.setdefault(chunk.stream_id, Orphans())
+            orphans.chunks += 1
+            orphans.bytes += chunk.end - chunk.start
+            self._drop(chunk)
+        elif self._repeated > repeated:
             self._drop(chunk)
         elif taken is not chunk:
             self._moved.extend((chunk.start, chunk.end, taken.stream_id))
+
+    @property
+    def _repeated(self) -> int:
+        return sum(each.repeated for each in self._sorter.streams.values())
 
     def end(self, opened: OpenRecording, damages: tuple[Damage, ...]) -> Survey:
         streams = self._sorter.streams
@@ -356,9 +367,6 @@ class _Surveyor:
         )
 
     def _drop(self, chunk: Chunk) -> None:
-        orphans = self._orphans.setdefault(chunk.stream_id, Orphans())
-        orphans.chunks += 1
-        orphans.bytes += chunk.end - chunk.start
         if self._dropped and self._dropped[-1] == chunk.start:
             self._dropped[-1] = chunk.end
         else:
