@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from typer import Typer
 from typer.testing import CliRunner
 
@@ -179,6 +180,98 @@ def test_tables_of_a_stream_named_after_the_person_go_where_the_file_name_hides_
     deleted = [each.path.suffix for each in found.steps if each.action is Action.DELETE]
     assert sorted(deleted) == [".gz", ".json", ".xdf"]
     assert not list(tmp_path.rglob("*_physio.*"))
+
+
+EVERY_FORMAT = {
+    "csv": (".csv",),
+    "csv.gz": (".csv.gz",),
+    "csv-long": (".csv",),
+    "csv-long.gz": (".csv.gz",),
+    "edf": (".bdf",),
+    "kubios": (".txt",),
+    "ledalab": (".txt",),
+    "mcap": (".mcap",),
+    "bids": (".tsv.gz", ".eeg"),
+}
+
+
+@pytest.mark.parametrize("kind", ["float32", "double64", "int16", "three channels", "held"])
+@pytest.mark.parametrize("form", [*EVERY_FORMAT, "wide csv", "db3"])
+def test_data_in_any_format_is_found_where_no_name_tells_whose_it_is(
+    form: str, kind: str, tmp_path: Path
+) -> None:
+    channels = 3 if kind == "three channels" else 1
+    values = np.cumsum(np.random.default_rng(7).normal(size=(650, channels)) * 40, axis=0)
+    if kind == "held":
+        values = np.repeat(values[::2], 2, axis=0)
+    fmt = kind if kind in {"double64", "int16"} else "float32"
+    rows = np.round(values).astype(int) if fmt == "int16" else values.astype(np.dtype(fmt[:-2]))
+    stamps = BEGIN_S + np.arange(650) / 130
+    skin = form == "ledalab"
+    header = made.stream_header(
+        1, "Skin" if skin else "Chest", kind="GSR" if skin else "ECG", rate=130.0, fmt=fmt,
+        channels=channels,
+    )  # fmt: skip
+    chunks = [
+        made.samples(1, fmt, rows[at : at + 65].tolist(), stamps[at : at + 65].tolist())
+        for at in range(0, 650, 65)
+    ]
+    path = tmp_path / f"{GONE}.xdf"
+    path.write_bytes(made.xdf(header, *chunks, made.footer(1, 650)))
+    study, other = tmp_path / "study", tmp_path / "other"
+    study.mkdir()
+    other.mkdir()
+    name = {"wide csv": "csv", "db3": "mcap"}.get(form, form)
+    task = Task((name,), Selection(), is_wide=form == "wide csv", output=other)
+    made_of = export(path, task, lambda _n, _s: lambda _done: None).written[0].path
+    if form == "db3":
+        made_of = _as_sqlite(made_of, other / "db3")
+    path.rename(study / path.name)
+    # A text or a name in what was exported would be found without the data.
+    ends = EVERY_FORMAT.get(form, (".db3",) if form == "db3" else (".csv",))
+    inside = made_of.rglob("*") if made_of.is_dir() else [made_of]
+    data = [each for each in inside if each.name.endswith(ends) and each.name != "README.txt"]
+    for number, each in enumerate(data):
+        each.rename(study / f"session_{number}{''.join(each.suffixes[-2:])}")
+    assert data
+    report = carry_out(plan(GONE, [study]))
+    assert not (study / path.name).exists()
+    assert "data of the person" in {each.what for each in report.left}
+    assert {each.path.name for each in report.left} <= {each.name for each in study.iterdir()}
+
+
+def _as_sqlite(bag: Path, target: Path) -> Path:
+    """A bag as ROS 2 wrote it before Iron."""
+    with (
+        Reader(bag) as reader,
+        Writer(target, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer,
+    ):
+        given = {
+            each.id: writer.add_connection(
+                each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest
+            )
+            for each in reader.connections
+        }
+        for connection, unix_ns, content in reader.messages():
+            writer.write(given[connection.id], unix_ns, content)
+    return target
+
+
+def test_data_of_others_is_not_called_the_person_s(tmp_path: Path) -> None:
+    """Of two people with the same kind of signal in all formats."""
+    (tmp_path / f"{GONE}.xdf").write_bytes(_of_a_stranger("Chest"))
+    stamps = BEGIN_S + np.arange(13_000) / 130
+    values = np.random.default_rng(8).normal(size=(13_000, 1)).astype(np.float32)
+    other = tmp_path / "session.xdf"
+    other.write_bytes(
+        made.xdf(
+            made.stream_header(1, "Chest", kind="ECG", rate=130.0),
+            made.samples(1, "float32", values.tolist(), stamps.tolist()),
+            made.footer(1, 13_000),
+        )
+    )
+    _export(other, *FORMATS, "bids")
+    assert carry_out(plan(GONE, [tmp_path])).is_clean
 
 
 @pytest.mark.parametrize("has_others", [False, True])

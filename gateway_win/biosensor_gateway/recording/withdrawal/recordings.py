@@ -14,7 +14,8 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.contents import open_contents
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.export.runs import joined
-from biosensor_gateway.recording.withdrawal.traces import SAMPLES, Person, Pieces
+from biosensor_gateway.recording.withdrawal.pieces import SAMPLES, Pieces
+from biosensor_gateway.recording.withdrawal.traces import Person
 from biosensor_gateway.recording.xdf import chunks
 from biosensor_gateway.recording.xdf.container import (
     MAGIC,

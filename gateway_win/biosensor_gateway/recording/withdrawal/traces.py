@@ -11,23 +11,18 @@ import re
 import sys
 import unicodedata
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import BinaryIO, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from biosensor_common.naming import label, sanitise
-from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.export.tables import numbers, rows_of_numbers
 from biosensor_gateway.system.new_file import new_file
 
 INSTEAD = "withdrawn"
 """Replaces the person's name in texts about others."""
 _ENCODINGS = ("utf-8", "cp1252", "utf-16-le", "utf-16-be")
-SAMPLES = 8
-_FEWEST_VALUES = 4
-_MOST_PIECES = 400
 
 
 TABLES = (".csv", ".tsv", ".csv.gz", ".tsv.gz")
@@ -35,7 +30,10 @@ NOTES = (".txt", ".md", ".log", ".vmrk", ".vhdr")
 LONGEST_JSON = 64_000_000
 EDF = (".bdf", ".edf")
 _HEAD, _HEAD_OF_SIGNAL = 256, 256
-_LABEL, _BEFORE_COUNTS = 16, 216
+_LABEL = 16
+# Bytes of each signal before the fields: least and greatest value, least and greatest number, and
+# samples in a record.
+_BEFORE_NUMBERS = (104, 112, 120, 128, 216)
 _BLOCK_BYTES = 1 << 20
 
 
@@ -218,52 +216,6 @@ def _letter_of(escaped: re.Match[str] | None) -> str:
     return chr(code) if code <= sys.maxunicode else ""
 
 
-@dataclass(slots=True)
-class Pieces:
-    """Pieces of the removed data, in the forms in which files may contain them."""
-
-    found: list[bytes] = field(default_factory=list[bytes])
-
-    def take(self, samples: Samples) -> None:
-        """Add pieces from some samples of a numeric stream."""
-        if len(self.found) >= _MOST_PIECES or isinstance(samples.values, list):
-            return
-        values = samples.values[:SAMPLES]
-        if len(values) < SAMPLES or len(np.unique(values)) < _FEWEST_VALUES:
-            return
-        self.found += _forms(samples, values)
-
-    def in_bytes(self, content: bytes) -> bool:
-        """Whether bytes contain one of them."""
-        return any(each in content for each in self.found)
-
-    @property
-    def longest(self) -> int:
-        """Length of the longest piece in bytes."""
-        return max(map(len, self.found), default=0)
-
-
-def _forms(samples: Samples, values: np.ndarray[Any, Any]) -> Iterator[bytes]:
-    yield values.tobytes()
-    if values.dtype != np.float64:
-        yield values.astype("<f8").tobytes()
-    line = rows_of_numbers(samples.times[:1], values[:1])
-    # A short line, such as a single number, could be in anyone's data.
-    if len(line) > 16:
-        yield line.strip()
-    if values.shape[1] == 1:
-        yield b"\n".join(numbers(values))
-
-
-def blocks(parts: Iterable[bytes], overlap: int) -> Iterator[bytes]:
-    """Yield parts with the last `overlap` bytes before them, to find matches across borders."""
-    rest = b""
-    for part in parts:
-        block = rest + part
-        yield block
-        rest = block[-overlap:] if overlap else b""
-
-
 def is_table(path: Path) -> bool:
     """Whether it is a table, compressed or not."""
     return path.name.lower().endswith(TABLES)
@@ -378,12 +330,22 @@ def _rows(lines: Iterable[bytes], path: Path) -> Iterator[bytes]:
         yield row
 
 
+class Signal(NamedTuple):
+    """A signal in an EDF or BDF file: its place in each record, and its scale."""
+
+    begin: int
+    end: int
+    step: float
+    least: float  # The value of the number 0.
+
+
 class Layout(NamedTuple):
     """The places of text in an EDF or BDF file: its header, and parts of each record."""
 
     head: int
     record: int
     spans: tuple[tuple[int, int], ...]
+    signals: tuple[Signal, ...]
 
 
 def layout_of(file: BinaryIO, path: Path) -> Layout:
@@ -401,14 +363,52 @@ def layout_of(file: BinaryIO, path: Path) -> Layout:
     width = 3 if path.suffix.lower() == ".bdf" else 2
     begin = 0
     spans: list[tuple[int, int]] = []
+    found: list[Signal] = []
     for number in range(count):
         label = signals[number * _LABEL : (number + 1) * _LABEL]
-        at = count * _BEFORE_COUNTS + number * 8
-        end = begin + width * int(signals[at : at + 8])
+        *scale, samples = (
+            float(signals[count * before + number * 8 :][:8]) for before in _BEFORE_NUMBERS
+        )
+        end = begin + width * int(samples)
         if label.strip().endswith(b"Annotations"):
             spans.append((begin, end))
+        else:
+            least, most, digital_least, digital_most = scale
+            step = (most - least) / (digital_most - digital_least or 1.0)
+            found.append(Signal(begin, end, step, least - step * digital_least))
         begin = end
-    return Layout(_HEAD + count * _HEAD_OF_SIGNAL, begin, tuple(spans))
+    return Layout(_HEAD + count * _HEAD_OF_SIGNAL, begin, tuple(spans), tuple(found))
+
+
+def signals_of_edf(path: Path, overlap: int) -> Iterator[tuple[NDArray[np.float64], float]]:
+    """Yield parts of each signal, and by how much its values are rounded.
+
+    Parameters
+    ----------
+    overlap
+        Number of samples of the part before, with which a part begins.
+
+    Raises
+    ------
+    ValueError
+        If it is neither EDF nor BDF.
+    """
+    width = 3 if path.suffix.lower() == ".bdf" else 2
+    with path.open("rb") as file:
+        layout = layout_of(file, path)
+        file.seek(layout.head)
+        size = max(1, _BLOCK_BYTES // max(1, layout.record)) * layout.record
+        before = [np.empty(0)] * len(layout.signals)
+        while size and (content := file.read(size)):
+            whole = len(content) // layout.record * layout.record
+            records = np.frombuffer(content[:whole], np.uint8).reshape(-1, layout.record)
+            for at, each in enumerate(layout.signals):
+                counts = np.zeros((records[:, each.begin : each.end].size // width, 4), np.uint8)
+                counts[:, 4 - width :] = records[:, each.begin : each.end].reshape(-1, width)
+                values = (counts.view("<i4")[:, 0] >> 8 * (4 - width)) * each.step + each.least
+                part = np.concatenate([before[at], values])
+                yield part, abs(each.step)
+                before[at] = part[len(part) - overlap :] if len(part) > overlap else part
 
 
 def texts_of_edf(path: Path) -> Iterator[bytes]:

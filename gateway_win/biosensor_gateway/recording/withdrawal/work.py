@@ -25,12 +25,11 @@ from biosensor_gateway.recording.export.job import is_recording
 from biosensor_gateway.recording.participants import entities_of, listed
 from biosensor_gateway.recording.recorder.state import is_going_on
 from biosensor_gateway.recording.withdrawal import recordings
+from biosensor_gateway.recording.withdrawal.pieces import Pieces, blocks
 from biosensor_gateway.recording.withdrawal.traces import (
     EDF,
     LONGEST_JSON,
     Person,
-    Pieces,
-    blocks,
     columns_of,
     is_in_message,
     is_text,
@@ -417,10 +416,21 @@ def _found(path: Path, person: Person, pieces: Pieces) -> Iterator[str]:
         if _is_named(path, person):
             yield "the person's name"
         overlap = max(_LONGEST_NAME, pieces.longest)
-        if any(pieces.in_bytes(block) for block in blocks(_content(path), overlap)):
+        parts = blocks(_content(path), overlap)
+        if any(map(pieces.in_bytes, parts)) or _has_values(path, pieces):
             yield "data of the person"
     except (OSError, EOFError, ValueError, RecordingError, BagError) as error:
         yield f"not known, because it cannot be read: {error}"
+
+
+def _has_values(path: Path, pieces: Pieces) -> bool:
+    """Whether a table or a signal has values of the person."""
+    if path.suffix.lower() in EDF:
+        return pieces.in_edf(path)
+    if not (is_text(path) or path.suffix.lower() == ".gz"):
+        return False
+    with open_plain(path) as file:
+        return pieces.in_rows(file)
 
 
 def _is_named(path: Path, person: Person) -> bool:
