@@ -522,3 +522,55 @@ def test_a_bag_without_metadata_is_left_to_a_person(study: Path) -> None:
     (study / "died" / "metadata.yaml").unlink()
     found, report = _withdrawn(study)
     assert any(study / "died" in each.path.parents for each in report.left), found.steps
+
+
+@pytest.mark.parametrize("until", ["while it writes", "before it renames", "before it deletes"])
+def test_a_withdrawal_that_was_killed_is_finished_by_the_next(study: Path, until: str) -> None:
+    """In each state in which a program that is killed may leave a bag that it rewrites."""
+    (study / f"{GONE}_consent.pdf").unlink()
+    bag, whole = study / "together_bag", study / "as before"
+    shutil.copytree(bag, whole)
+    assert carry_out(plan(GONE, [bag])).is_clean
+    done = {each.name: digest(each) for each in bag.iterdir()}
+    old, new = study / ".together_bag.old", study / ".together_bag.without"
+    if until == "while it writes":
+        (study / ".together_bag.without.made" / "together_bag").mkdir(parents=True)
+        (study / ".together_bag.without.made" / "together_bag" / "a.mcap").write_bytes(b"half")
+        shutil.rmtree(bag)
+        whole.rename(bag)
+    elif until == "before it renames":
+        bag.rename(new)
+        whole.rename(old)
+    else:
+        whole.rename(old)
+    (study / ".together.xdf.without").write_bytes(b"XDF:half")
+    found, report = _withdrawn(study)
+    assert [each.error for each in report.done if each.error] == []
+    assert report.is_clean, report.left
+    assert {each.name: digest(each) for each in bag.iterdir()} == done
+    assert not [each for each in study.iterdir() if each.name.startswith(".")]
+    assert {each.path for each in found.steps if each.action is not Action.LOOK}
+    assert carry_out(plan(GONE, [study])).done == ()
+
+
+def test_what_the_plan_says_is_done_and_nothing_else(study: Path) -> None:
+    (study / f"{GONE}_consent.pdf").unlink()
+
+    def hashes() -> dict[Path, str]:
+        return {path: digest(path) for path in study.rglob("*") if path.is_file()}
+
+    before = hashes()
+    found = plan(GONE, [study])
+    assert hashes() == before
+    carry_out(found)
+    after = hashes()
+
+    def of(action: Action) -> set[Path]:
+        paths = [each.path for each in found.steps if each.action is action]
+        return {path for path in before if any(path == e or e in path.parents for e in paths)}
+
+    assert {path for path in before if path not in after} == of(Action.DELETE)
+    changed = {path for path, told in after.items() if told != before.get(path)}
+    # The metadata of a bag need not change.
+    assert changed <= of(Action.REWRITE)
+    assert {path.name for path in of(Action.REWRITE) - changed} <= {"metadata.yaml"}

@@ -6,9 +6,10 @@ import csv
 import errno
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum, unique
 from functools import partial
 from pathlib import Path
@@ -141,6 +142,8 @@ class _Looking:
         elif is_dataset(place.parent) and self._is_theirs(place):
             self.files += sum(each.is_file() for each in place.rglob("*"))
             yield self._of_subject(place)
+        elif (whole := _interrupted(place)) is not None and whole.exists():
+            yield Step(place, Action.DELETE, "left by a withdrawal that was interrupted")
         elif _is_bag(place):
             self.files += sum(each.is_file() for each in place.rglob("*"))
             step = self._of_bag(place)
@@ -319,6 +322,10 @@ def carry_out(plan: Plan) -> Report:
 
 
 def _do(step: Step, person: Person) -> Iterator[Done]:
+    whole = _interrupted(step.path)
+    if whole is not None and not whole.exists():
+        # What follows in a plan deletes the rest of the interruption, which is no other bag.
+        step = replace(step, path=step.path.rename(whole))
     files = list(_files(step.path))
     before: dict[Path, str] = {}
     try:
@@ -376,6 +383,25 @@ def _rewrite(path: Path, person: Person) -> None:
     finally:
         # Another program may have the original open, so that it stays.
         new.unlink(missing_ok=True)
+
+
+_OF_INTERRUPTED = re.compile(r"\.(?P<name>.+)\.(?P<kind>old|without|without\.made)")
+
+
+def _interrupted(place: Path) -> Path | None:
+    """Return the bag that was being rewritten when a withdrawal was interrupted.
+
+    A program that is killed may leave the bag as it was, under another name, and parts of the new
+    one; None for any other file or folder.
+    """
+    found = _OF_INTERRUPTED.fullmatch(place.name)
+    if found is None or not place.is_dir():
+        return None
+    whole = place.with_name(found["name"])
+    if found["kind"] == "old":
+        return whole if _is_bag(place) else None
+    before = place.with_name(f".{found['name']}.old")
+    return next((each for each in (whole, before) if _is_bag(each)), None)
 
 
 def _rewrite_folder(path: Path, new: Path, write: Callable[[], None]) -> None:
@@ -541,6 +567,19 @@ def _write_bag_without(folder: Path, target: Path, person: Person) -> None:
                 kept = given.get(connection.id)
                 if kept is not None and not is_in_message(content, person):
                     writer.write(kept, unix_ns, content)
+        _copy_others(folder, made, person)
         made.rename(target)
     finally:
         shutil.rmtree(place, ignore_errors=True)
+
+
+def _copy_others(folder: Path, made: Path, person: Person) -> None:
+    """Copy what is in a bag besides its data, such as a README."""
+    for path in folder.iterdir():
+        new = made / path.name
+        if path.suffix in _BAGS or path.name == _METADATA or not path.is_file():
+            continue
+        if is_text(path) and not is_utf16(path):
+            write_without(path, new, person)
+        else:
+            shutil.copy2(path, new)
