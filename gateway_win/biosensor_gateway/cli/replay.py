@@ -106,7 +106,7 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
     ReplayError
         If the recording cannot be played; see its reasons.
     typer.Exit
-        With code 1, at the end, if a stream or a sample was left out.
+        With code 1, at the end, if a stream or a sample was left out or could not be read.
     """
     from biosensor_common.lsl.network import configure_lsl
 

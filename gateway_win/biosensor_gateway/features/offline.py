@@ -97,13 +97,15 @@ def compute(path: Path, target: Path) -> Computed:
         except OSError as error:
             message = cannot_write(target, error)
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
-        remarks += _on_times(contents, [each for parts, _ in pairs for each in parts])
+        read = [each for parts, _ in pairs for each in parts]
+        remarks += _on_times(contents, read)
         others = contents.of_other_agents
         mismatch = compare_file(path, (each.header.identity for each in contents.streams))
         remarks += [*others, *([mismatch.sentence] if mismatch else [])]
         if contents.damages:
             remarks.append(f"{path} can be read only in part{contents.why_incomplete}")
-        is_whole = not (contents.damages or others or doubled)
+        is_timed = not any(each.untimed or each.clock_error or each.part_error for each in read)
+        is_whole = is_timed and not (contents.damages or others or doubled)
         return Computed(target, counts, (*refused, *doubled), tuple(remarks), is_whole)
 
 

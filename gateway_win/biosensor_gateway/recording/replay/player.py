@@ -97,10 +97,9 @@ class Player:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all samples of the selected streams are played."""
-        return not self.left_out and not any(
-            each.untimed or each.part_error for each in self.streams
-        )
+        """Whether all samples of the selected streams can be read and are played."""
+        is_left_out = any(each.untimed or each.part_error for each in self.streams)
+        return not (self.damages or self.left_out or is_left_out)
 
     @property
     def damages(self) -> tuple[Damage, ...]:
