@@ -152,6 +152,12 @@ def _huge_stamps() -> list[bytes]:
     return [_signal(stamps), _events()]
 
 
+def _largest_stamps() -> list[bytes]:
+    stamps = _even()
+    stamps[1300:] = -1e308
+    return [_signal(stamps), _events()]
+
+
 def _days() -> list[bytes]:
     stamps = _even()
     stamps[1000:] += 5 * 86400.0
@@ -529,6 +535,7 @@ SHAPES: dict[str, Made] = {
     "stamps that are no number": _nan_stamps,
     "no stamp that is a number": _only_nan_stamps,
     "stamps beyond all clocks": _huge_stamps,
+    "stamps as large as numbers are": _largest_stamps,
     "a gap of days": _days,
     "negative stamps": _negative_stamps,
     "no stamp at all": _left_out_stamps,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import math
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -357,6 +358,21 @@ def test_a_replay_begins_with_the_signals_though_intervals_are_of_before(tmp_pat
             assert player.begin_s == pytest.approx(begin_s)
             sizes = {"signal": 1300, "intervals": 30, "markers": 1}
             assert _played(player) == [sizes[each] for each in names]
+
+
+@pytest.mark.parametrize("shape", ["stamps beyond all clocks", "stamps as large as numbers are"])
+def test_no_sentence_has_hundreds_of_digits(shape: str, tmp_path: Path) -> None:
+    path = _written(shape, tmp_path)
+    formats = ("csv", "edf", "kubios", "bids", "mcap")
+    outcome = export(path, Task(formats, Selection()), lambda _name, _s: lambda _done: None)
+    sentences = [
+        *(note for each in outcome.written for note in each.notes),
+        *outcome.clock_notes,
+        *(each.text for each in check(path).findings),
+        *compute(path, tmp_path / "features.csv").remarks,
+    ]
+    for each in sentences:
+        assert not re.search(r"\d{30}", each), each
 
 
 FAR_S = 200_000.0

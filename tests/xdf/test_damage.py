@@ -301,8 +301,11 @@ def test_texts_that_are_not_utf8(content: bytes, expected: tuple[str, bool]) -> 
     assert decoded(content) == expected
 
 
-def test_samples_that_are_there_twice_begin_a_run() -> None:
-    report = check(x.xdf(HEADER, *CHUNKS[:10], CHUNKS[9], *CHUNKS[10:], END))
+def test_samples_that_are_there_twice_in_other_chunks_begin_a_run() -> None:
+    again = [
+        x.samples(1, "float32", [[0.5], [1.5]] * 25, STAMPS[at : at + 50]) for at in (900, 950)
+    ]
+    report = check(x.xdf(HEADER, *CHUNKS[:10], *again, *CHUNKS[10:], END))
     assert codes(report, Level.ERROR) == {("footer-count", "ecg"), ("backwards", "ecg")}
     pace = only(report).figures.pace
     assert pace is not None
@@ -355,7 +358,8 @@ def test_stamps_are_those_that_pyxdf_reads(fmt: str, given: list[bool], tmp_path
             made.stream_header(1, "a", channels=3, rate=100.0, fmt=fmt),
             made.samples(1, fmt, values[:1], [49.5]),
             made.samples(1, fmt, values, stamps),
-            made.samples(1, fmt, values, stamps),
+            # Otherwise it would be the chunk before, written twice.
+            made.samples(1, fmt, [[4, 5, 6]] * len(given), stamps),
         )
     )
     (stream,) = read_recording(path).streams

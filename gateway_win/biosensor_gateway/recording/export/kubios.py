@@ -36,6 +36,7 @@ from biosensor_gateway.recording.export.runs import (
 )
 from biosensor_gateway.recording.export.tables import MARKERS, FileNames, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.measuring import seconds_text
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}
 # If timestamps differ more from the sum of intervals, beats are missing in between.
@@ -98,7 +99,7 @@ def _is_of(stream: Stream, kind: ContentType) -> bool:
 
 def _begins(chosen: Chosen, options: ExportOptions, path: Path, time_s: float) -> str:
     since_s = float(timeline(chosen, options.clock).since_zero(np.array([time_s]))[0])
-    return f"{path.name} begins at {round(since_s, 3) + 0.0:.3f} s"
+    return f"{path.name} begins at {seconds_text(round(since_s, 3) + 0.0, 3)}"
 
 
 def _write_intervals(

@@ -398,15 +398,15 @@ def signals_of_edf(path: Path, overlap: int) -> Iterator[tuple[NDArray[np.float6
         layout = layout_of(file, path)
         file.seek(layout.head)
         size = max(1, _BLOCK_BYTES // max(1, layout.record)) * layout.record
-        before = [np.empty(0)] * len(layout.signals)
+        before: list[NDArray[np.float64]] = [np.empty(0)] * len(layout.signals)
         while size and (content := file.read(size)):
             whole = len(content) // layout.record * layout.record
             records = np.frombuffer(content[:whole], np.uint8).reshape(-1, layout.record)
             for at, each in enumerate(layout.signals):
                 counts = np.zeros((records[:, each.begin : each.end].size // width, 4), np.uint8)
                 counts[:, 4 - width :] = records[:, each.begin : each.end].reshape(-1, width)
-                values = (counts.view("<i4")[:, 0] >> 8 * (4 - width)) * each.step + each.least
-                part = np.concatenate([before[at], values])
+                digital = (counts.view("<i4")[:, 0] >> 8 * (4 - width)).astype(np.float64)
+                part = np.concatenate([before[at], digital * each.step + each.least])
                 yield part, abs(each.step)
                 before[at] = part[len(part) - overlap :] if len(part) > overlap else part
 

@@ -49,6 +49,8 @@ _SHORTEST_S = 1e-9
 SECTION = 1 << 20
 # Sections have this length, so that clocks do not drift within one, but at least so many samples.
 _SECTION_S, _LEAST_SECTION = 600.0, 1 << 16
+# Of stamps of a damaged file, sums and squares would overflow.
+_FARTHEST_S = 1e150
 # Moves beyond 4 times the 95th percentile are not by chance, even in a million moves.
 _USUAL, _UNUSUAL = 95, 4
 
@@ -123,11 +125,17 @@ def find_pace(stamps: Array, nominal_hz: float) -> Pace:
     nominal_hz
         Nominal rate in the header; above 0.
     """
+    stamps = _bounded(stamps)
     found = _found(stamps, nominal_hz)
     # By a rate of the header that is not the stream's, all samples would be one burst, or all late.
     is_other = not 1 / _OTHER_RATE < found.period_s * nominal_hz < _OTHER_RATE
     is_rate = is_other and _SHORTEST_S < found.period_s < LONGEST_PAUSE_S
     return _found(stamps, 1.0 / found.period_s) if is_rate else found
+
+
+def _bounded(stamps: Array) -> Array:
+    is_far = np.isfinite(stamps) & (np.abs(stamps) > _FARTHEST_S)
+    return np.where(is_far, np.sign(stamps) * _FARTHEST_S, stamps) if is_far.any() else stamps
 
 
 def _found(stamps: Array, nominal_hz: float) -> Pace:
@@ -147,7 +155,7 @@ def _found(stamps: Array, nominal_hz: float) -> Pace:
     falls = [
         begin + at
         for begin, rest in zip([0, *turns], rests, strict=True)
-        for at in _falls(rest, max(period_s / 2, _UNUSUAL * spread_s), window)
+        for at in _falls(rest, max(period_s / 2, _UNUSUAL * spread_s), window, period_s)
     ]
     if falls:
         turns = sorted([*turns, *falls])
@@ -299,7 +307,7 @@ class Cuts:
 
     def take(self, times: Array) -> None:
         """Add the times of the next samples, shape (n_samples,)."""
-        times = self._moved_on(times)
+        times = self._moved_on(_bounded(times))
         self._blocks.append(times)
         self._held += len(times)
         if self._held >= self._section:
@@ -644,17 +652,31 @@ def _rests(stamps: Array, turns: list[int], period_s: float) -> list[Array]:
     return [part - period_s * np.arange(len(part)) for part in parts]
 
 
-def _falls(rest: Array, most_s: float, window: int) -> list[int]:
+def _falls(rest: Array, most_s: float, window: int, period_s: float) -> list[int]:
     """Find where the line drops permanently: repeated samples, or a clock set back."""
     found: list[int] = []
-    for place in (np.flatnonzero(np.diff(rest) < -most_s) + 1).tolist():
+    steps = np.diff(rest)
+    jumps = (np.flatnonzero(steps > most_s) + 1).tolist()
+    for place in (np.flatnonzero(steps < -most_s) + 1).tolist():
         begin = max(found[-1] if found else 0, place - window)
         before, following = rest[begin:place], rest[place : place + window]
         is_told = min(len(before), len(following)) >= window
         # Late samples lie above the line one by one; before a drop all samples do.
-        if is_told and float(before.min()) - float(following.max()) > most_s:
+        if not is_told or float(before.min()) - float(following.max()) <= most_s:
+            continue
+        number = bisect_left(jumps, place)
+        if not (number and _was_held_up(rest, jumps[number - 1], place, window, period_s, most_s)):
             found.append(place)
     return found
+
+
+def _was_held_up(
+    rest: Array, jump: int, place: int, window: int, period_s: float, most_s: float
+) -> bool:
+    """Whether samples since a jump ahead come at once, down to the line before it."""
+    line_s = float(rest[max(0, jump - window) : jump].min())
+    is_at_once = rest[jump] - rest[place] > (place - jump) * period_s / 2
+    return bool(is_at_once and float(rest[place : place + window].max()) > line_s - most_s)
 
 
 def _lowest(values: Array, window: int) -> Array:

@@ -14,7 +14,8 @@ from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.event_rules import Absence, Spell
 from biosensor_gateway.recording.xdf.figures import seconds_text
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level
-from biosensor_gateway.recording.xdf.pace import Pace
+from biosensor_gateway.recording.xdf.figures import seconds_text
+from biosensor_gateway.recording.xdf.pace import MOST_LOST, Pace
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, SMALL_CHANGE
 from biosensor_gateway.recording.xdf.recording import repeated_text
 from biosensor_gateway.recording.xdf.report import LATE_S, Extent, Measured, last_asked
@@ -258,7 +259,7 @@ def _late_or_still(pace: Pace, measured: Measured, extent: Extent) -> Iterator[V
         often = "" if places == 1 else f" in {places} places,"
         at = extent.since_begin(pace.standstills[0].stamp_s, measured)
         text = (
-            f"its timestamps stand still{often} from {at:.1f} s on, for {count} samples, which "
+            f"its timestamps stand still{often} from {seconds_text(at, 1)} on, for {count} samples, which "
             f"take {count * pace.period_s:.3g} s"
         )
         yield Level.ERROR, "standstill", text
@@ -273,7 +274,7 @@ def _backwards(measured: Measured) -> Verdict:
     back_s = figures.furthest_back_s + (0.0 if rate_hz is None else 1 / rate_hz)
     text = f"its timestamps run backwards in {places} {seconds_text(back_s, 3)}"
     if rate_hz is not None:
-        samples = round(back_s * rate_hz)
+        samples = round(min(back_s * rate_hz, MOST_LOST))
         about = "" if figures.pace is None or figures.pace.spread_s * rate_hz < 0.1 else "about "
         # Stamps alone do not tell one from the other.
         is_possible = samples <= measured.stream.sample_count // 2
@@ -319,7 +320,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     places = "1 gap" if gaps.count == 1 else f"{gaps.count} gaps"
     text = (
         f"{places} of {gaps.total_s:.3g} s in total, about {gaps.lost} samples lost; the longest "
-        f"of {worst.length_s:.3g} s at {at:.1f} s"
+        f"of {worst.length_s:.3g} s at {seconds_text(at, 1)}"
     )
     yield Level.WARNING, "gaps", text
     period_s = 1 / header.rate if header.is_regular else 0.0
@@ -336,7 +337,7 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
 
 def _held_up(length_s: float, at: float) -> Verdict:
     """Report that the agent's reports were late; its counts are cumulative, so nothing is lost."""
-    text = f"the agent's counts came {length_s:.2g} s apart at {at:.1f} s, as on a busy computer"
+    text = f"the agent's counts came {length_s:.2g} s apart at {seconds_text(at, 1)}, as on a busy computer"
     if length_s < HELD_UP_S:
         return Level.NOTE, "held-up", f"{text}; nothing is missing"
     late = (
@@ -378,7 +379,7 @@ def _bend(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     at = extent.since_begin(bend.stamp_s, measured)
     text = (
         "its rate is not constant: a straight line through its timestamps is off by up to "
-        f"{seconds_text(bend.away_s, 3)} (at {at:.1f} s), and so are EDF, Kubios, BIDS and loaders "
+        f"{seconds_text(bend.away_s, 3)} (at {seconds_text(at, 1)}), and so are EDF, Kubios, BIDS and loaders "
         "that make timestamps even"
     )
     yield Level.WARNING, "bent", text
@@ -393,7 +394,7 @@ def _rate_changes(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     for each in changes:
         at = extent.since_begin(each.stamp_s, measured)
         text = (
-            f"from {at:.1f} s on it runs at {each.after_hz:.4g} Hz, before at {each.before_hz:.4g} "
+            f"from {seconds_text(at, 1)} on it runs at {each.after_hz:.4g} Hz, before at {each.before_hz:.4g} "
             "Hz: its sender got other settings, or samples are missing evenly"
         )
         is_small = abs(math.log(each.after_hz / each.before_hz)) < SMALL_CHANGE
