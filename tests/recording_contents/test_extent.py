@@ -11,8 +11,8 @@ import pytest
 
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Selection, choose
-from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.contents.contents import open_contents
+from biosensor_gateway.recording.export.job import Task, export
 from biosensor_gateway.recording.export.readme import README
 from biosensor_gateway.recording.replay.player import Player, PlayOptions, ReplayError
 from biosensor_gateway.recording.xdf.container import RecordingError

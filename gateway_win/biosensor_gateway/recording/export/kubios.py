@@ -36,7 +36,7 @@ from biosensor_gateway.recording.export.runs import (
 )
 from biosensor_gateway.recording.export.tables import MARKERS, FileNames, numbers, quoted
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.recording.xdf.measuring import seconds_text
+from biosensor_gateway.recording.xdf.figures import seconds_text
 
 _IN_SECONDS = {Unit.SECONDS: 1.0, Unit.MILLISECONDS: 1e-3}
 # If timestamps differ more from the sum of intervals, beats are missing in between.

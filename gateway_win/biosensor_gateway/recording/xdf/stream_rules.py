@@ -14,7 +14,6 @@ from biosensor_gateway.recording.xdf.counters import STRANGE_SAMPLES
 from biosensor_gateway.recording.xdf.event_rules import Absence, Spell
 from biosensor_gateway.recording.xdf.figures import seconds_text
 from biosensor_gateway.recording.xdf.findings import About, Finding, Level
-from biosensor_gateway.recording.xdf.figures import seconds_text
 from biosensor_gateway.recording.xdf.pace import MOST_LOST, Pace
 from biosensor_gateway.recording.xdf.rate_changes import MOST_CHANGES, SMALL_CHANGE
 from biosensor_gateway.recording.xdf.recording import repeated_text
@@ -259,8 +258,8 @@ def _late_or_still(pace: Pace, measured: Measured, extent: Extent) -> Iterator[V
         often = "" if places == 1 else f" in {places} places,"
         at = extent.since_begin(pace.standstills[0].stamp_s, measured)
         text = (
-            f"its timestamps stand still{often} from {seconds_text(at, 1)} on, for {count} samples, which "
-            f"take {count * pace.period_s:.3g} s"
+            f"its timestamps stand still{often} from {seconds_text(at, 1)} on, for {count} "
+            f"samples, which take {count * pace.period_s:.3g} s"
         )
         yield Level.ERROR, "standstill", text
 
@@ -337,7 +336,10 @@ def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
 
 def _held_up(length_s: float, at: float) -> Verdict:
     """Report that the agent's reports were late; its counts are cumulative, so nothing is lost."""
-    text = f"the agent's counts came {length_s:.2g} s apart at {seconds_text(at, 1)}, as on a busy computer"
+    text = (
+        f"the agent's counts came {length_s:.2g} s apart at {seconds_text(at, 1)}, as on a busy "
+        "computer"
+    )
     if length_s < HELD_UP_S:
         return Level.NOTE, "held-up", f"{text}; nothing is missing"
     late = (
@@ -379,8 +381,8 @@ def _bend(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     at = extent.since_begin(bend.stamp_s, measured)
     text = (
         "its rate is not constant: a straight line through its timestamps is off by up to "
-        f"{seconds_text(bend.away_s, 3)} (at {seconds_text(at, 1)}), and so are EDF, Kubios, BIDS and loaders "
-        "that make timestamps even"
+        f"{seconds_text(bend.away_s, 3)} (at {seconds_text(at, 1)}), and so are EDF, Kubios, BIDS "
+        "and loaders that make timestamps even"
     )
     yield Level.WARNING, "bent", text
 
@@ -394,8 +396,8 @@ def _rate_changes(measured: Measured, extent: Extent) -> Iterator[Verdict]:
     for each in changes:
         at = extent.since_begin(each.stamp_s, measured)
         text = (
-            f"from {seconds_text(at, 1)} on it runs at {each.after_hz:.4g} Hz, before at {each.before_hz:.4g} "
-            "Hz: its sender got other settings, or samples are missing evenly"
+            f"from {seconds_text(at, 1)} on it runs at {each.after_hz:.4g} Hz, before at "
+            f"{each.before_hz:.4g} Hz: its sender got other settings, or samples are missing evenly"
         )
         is_small = abs(math.log(each.after_hz / each.before_hz)) < SMALL_CHANGE
         yield Level.WARNING if is_small else Level.ERROR, "rate-change", text

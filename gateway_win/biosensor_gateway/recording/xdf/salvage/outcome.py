@@ -27,8 +27,8 @@ from biosensor_gateway.recording.xdf.container import (
     read_frame,
 )
 from biosensor_gateway.recording.xdf.figures import Course, clock_error
-from biosensor_gateway.recording.xdf.report_text import finite, printable
 from biosensor_gateway.recording.xdf.recording import repeated_text
+from biosensor_gateway.recording.xdf.report_text import finite, printable
 from biosensor_gateway.recording.xdf.salvage.survey import (
     Break,
     KeptStream,
