@@ -129,7 +129,7 @@ def _times(chosen: Chosen, options: ExportOptions) -> Iterator[str]:
     yield f"All times are in seconds. Unless stated otherwise, they are {clock}."
     date = line.described()["TimeZero"]
     which = f", which is {date['Date']}" if isinstance(date, dict) and "Date" in date else ""
-    # With --begin, the zero is there.
+    # A selection may begin later.
     what = "This selection" if chosen.begin_s > chosen.contents.begin_s else "The recording"
     yield f"{what} starts at {line.begin_s:.6f}{which}. {_ZERO}"
     yield _TIMES[options.times]

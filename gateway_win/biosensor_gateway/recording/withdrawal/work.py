@@ -324,7 +324,7 @@ def carry_out(plan: Plan) -> Report:
 def _do(step: Step, person: Person) -> Iterator[Done]:
     whole = _interrupted(step.path)
     if whole is not None and not whole.exists():
-        # What follows in a plan deletes the rest of the interruption, which is no other bag.
+        # The bag gets its name back before it is rewritten.
         step = replace(step, path=step.path.rename(whole))
     files = list(_files(step.path))
     before: dict[Path, str] = {}

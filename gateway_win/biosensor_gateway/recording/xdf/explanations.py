@@ -303,7 +303,7 @@ EXPLANATIONS: Mapping[str, Explanation] = {
         "and loaders with one rate for all samples give times that are wrong by up to the stated "
         "seconds in the middle of the recording; no sample is missing for this reason.",
         "Use the times of CSV or MCAP, or load the file with `dejitter_timestamps=False`. For EDF "
-        "and Kubios export shorter parts with `--begin` and `--end`.",
+        "and Kubios, write shorter parts with the command `xdf export --from START --until END`.",
     ),
     "no-offsets": Explanation(
         "Clock offsets were not measured",
