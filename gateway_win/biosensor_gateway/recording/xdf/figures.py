@@ -231,7 +231,7 @@ def _bend(blocks: Iterable[NDArray[np.float64]], cuts: Cuts | None) -> Bend | No
     pace = None if cuts is None else cuts.pace
     if cuts is None or pace is None or pace.standstills:
         return None
-    worst: Bend | None = None
+    worst, early_s = Bend(0.0, 0.0), 0.0
     least_s = max(_LEAST_BEND_S, 1.5 * pace.period_s, 3 * pace.moves_s)
     begins = [0, *cuts.numbers]
     for run, stamps in enumerate(_cut(_without_values(blocks, pace.stray), begins)):
@@ -244,12 +244,13 @@ def _bend(blocks: Iterable[NDArray[np.float64]], cuts: Cuts | None) -> Bend | No
                 continue
             # What came late is above the line, and at least one sample of a window is on it.
             rest_s = np.nan_to_num((block[:count] - line).reshape(-1, pace.window), nan=np.inf)
-            away_s = np.abs(rest_s.min(axis=1))
-            at = int(np.argmax(np.where(np.isfinite(away_s), away_s, 0.0)))
-            found = Bend(float(away_s[at]), float(block[at * pace.window]))
-            if least_s < found.away_s < math.inf and (worst is None or found > worst):
-                worst = found
-    return worst
+            lowest_s = rest_s.min(axis=1)
+            lowest_s = np.where(np.isfinite(lowest_s), lowest_s, 0.0)
+            at = int(np.argmax(np.abs(lowest_s)))
+            worst = max(worst, Bend(float(np.abs(lowest_s[at])), float(block[at * pace.window])))
+            early_s = max(early_s, float(-lowest_s.min()))
+    # Samples that were held up are all above it for a while, but none comes before its time.
+    return worst if early_s > least_s else None
 
 
 def _longest_at(change: RateChange, header: RecordedHeader, pace: Pace | None) -> float:
