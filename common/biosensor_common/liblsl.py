@@ -10,6 +10,7 @@ import platform
 import sys
 from collections.abc import Generator, Iterator, MutableMapping
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -46,6 +47,15 @@ def what_is_missing(error: BaseException) -> str:
         f"liblsl, the library of the Lab Streaming Layer, cannot be loaded: pylsl in {folder} has "
         f"none for this computer ({_system()}); {remedy()}"
     )
+
+
+def is_missing() -> bool:
+    """Whether pylsl cannot be used."""
+    try:
+        import_module("pylsl")
+    except (ImportError, OSError, RuntimeError):
+        return True
+    return False
 
 
 @contextmanager

@@ -155,6 +155,9 @@ def test_a_computer_without_liblsl(
     monkeypatch.setattr("platform.machine", lambda: "aarch64")
     arm = only(examine(context, "versions"), "pylsl cannot be used")
     assert "https://github.com/sccn/liblsl/releases" in arm.fix
+    for name in ("discovery", "streams"):
+        not_searched = only(examine(context, name), "no stream was searched for")
+        assert (not_searched.level, not_searched.fix) == (Level.WARNING, arm.fix)
 
 
 def test_an_old_liblsl(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:

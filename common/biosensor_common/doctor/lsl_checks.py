@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from biosensor_common import liblsl
 from biosensor_common.doctor.check import Context, Finding, Guide, error, note, ok, warning
 from biosensor_common.doctor.firewall import opening
 from biosensor_common.doctor.probe import Probe, SurveyedStream
@@ -187,6 +188,9 @@ def discovery(context: Context) -> Iterator[Finding]:
     Each way is tried with the other one disabled: LSL programs of one computer also find each
     other by unicast to their ports, so a stream that is found does not show that multicast works.
     """
+    if liblsl.is_missing():
+        yield _not_searched(context.guide)
+        return
     config = context.config
     alone = api_file.keeps_to_itself(config)
     with ThreadPoolExecutor(2) as pool:
@@ -202,6 +206,14 @@ def discovery(context: Context) -> Iterator[Finding]:
             )
         else:
             yield _multicast(multicast.result(), config, context.guide)
+
+
+def _not_searched(guide: Guide) -> Finding:
+    return warning(
+        "no stream was searched for, because liblsl cannot be loaded",
+        "Whether LSL programs find each other on this computer is unknown.",
+        liblsl.remedy(guide.install_pylsl),
+    )
 
 
 def by_multicast(config: str) -> str:
@@ -273,6 +285,9 @@ def _multicast(found: bool, config: str, guide: Guide) -> Finding:
 
 def streams(context: Context) -> Iterator[Finding]:
     """Search for streams as the program does, and check them."""
+    if liblsl.is_missing():
+        yield _not_searched(context.guide)
+        return
     seen, elsewhere = survey(context)
     if not seen:
         yield ok("there is no LSL stream at the moment")
