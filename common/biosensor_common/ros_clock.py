@@ -17,9 +17,9 @@ from typing import NamedTuple, cast
 from biosensor_common.plausible import finite
 
 SLEW_S = 1.0
+"""Samples that are late by up to this time are mapped with the offset of their own time."""
 STEP_NS = 1_000_000
 KNOTS_KEPT = 16
-"""Samples that are late by up to this time are mapped with the offset of their own time."""
 
 # The offset changes by at most 1 ms/s, so the second round is exact to a nanosecond.
 _INVERSE_ROUNDS = 2

@@ -251,6 +251,7 @@ def test_a_step_of_the_clock_is_said_and_what_labrecorder_makes_of_it(
 def test_steps_of_the_clock_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     day, since_boot = [1.8e9], [500.0]
     monkeypatch.setattr(time, "time", lambda: day[0])
+    monkeypatch.setattr(time, "time_ns", lambda: round(day[0] * 1e9))
     monkeypatch.setattr(time, "monotonic", lambda: since_boot[0])
     clock = ClockWatch()
     steps: list[ClockStep] = []
@@ -263,6 +264,23 @@ def test_steps_of_the_clock_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None
     assert [round(each.by_s, 3) for each in steps] == [-90.0, 25.0]
     saved = SavedRecording("a.xdf", (), 1.8e9, clock_steps=tuple(steps))
     assert day[0] - saved.began == pytest.approx(3600.31)
+
+
+def test_whoever_is_stopped_between_two_readings_of_a_clock_saw_no_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monotonic, stops = time.monotonic, iter([0.0, 0.0, 2.0, 0.0, 0.0, 4.0])
+    late_s = 0.0
+
+    def stopped() -> float:
+        nonlocal late_s
+        late_s += next(stops, 0.0)
+        return monotonic() + late_s
+
+    monkeypatch.setattr(time, "monotonic", stopped)
+    monkeypatch.setattr(time, "time_ns", lambda: round((monotonic() + late_s + 1e9) * 1e9))
+    clock = ClockWatch()
+    assert [clock.step() for _ in range(3)] == [None] * 3
 
 
 def test_who_was_away_before_it_began_is_amber(running: Running) -> None:

@@ -36,6 +36,7 @@ from biosensor_common.child import (
 )
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
+from biosensor_common.ros_clock import NS_PER_S, measure_offset_ns
 from biosensor_gateway.recording.recorder.request import (
     RecorderError,
     RecorderReason,
@@ -315,13 +316,17 @@ class ClockWatch:
     """Notices that the clock of this computer was set, or that the computer slept."""
 
     def __init__(self) -> None:
-        self._read = time.time(), time.monotonic()
+        self._offset_ns = self._measure()
+
+    @staticmethod
+    def _measure() -> int:
+        return measure_offset_ns(time.time_ns, time.monotonic)
 
     def step(self) -> ClockStep | None:
         """Return the step since the last look; None if there was none."""
-        before, self._read = self._read, (time.time(), time.monotonic())
-        by_s = self._read[0] - before[0] - (self._read[1] - before[1])
-        return ClockStep(self._read[0], by_s) if abs(by_s) > CLOCK_SET_S else None
+        before_ns, self._offset_ns = self._offset_ns, self._measure()
+        by_s = (self._offset_ns - before_ns) / NS_PER_S
+        return ClockStep(time.time(), by_s) if abs(by_s) > CLOCK_SET_S else None
 
 
 class _Supervisor:
