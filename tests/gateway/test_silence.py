@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Generator, Sequence
 
@@ -475,6 +476,16 @@ def test_a_strap_that_repeats_beats_is_noticed_after_a_few_and_what_was_sent_is_
     twice = len(told) - len(set(told))
     assert 0 < twice <= 4
     assert f"so some were reported twice; {twice} reported twice before were sent" in sent.status()
+    sent.sink.close()
+
+
+def test_what_was_sent_twice_is_counted_over_all_times_at_which_a_strap_repeated_beats() -> None:
+    sent, told = _Sent("ble_heart_rate"), list[int]()
+    for repeated, seconds in ((1, 12), (0, 240), (1, 12)):
+        _beats(sent, seconds, repeated)
+        found = re.search(r"; (\d+) reported twice before were sent", sent.status())
+        told.append(int(found[1]) if found else 0)
+    assert 0 < told[0] < told[2]
     sent.sink.close()
 
 

@@ -71,7 +71,7 @@ class WallClock:
         if abs(largest) > CLOCK_SET_S:
             return (
                 f"jumps by {largest:+.1f} s: a computer slept meanwhile, or its clock was set; "
-                "seconds since the start and LSL times do not"
+                "times on the LSL clock do not"
             )
         return ""
 

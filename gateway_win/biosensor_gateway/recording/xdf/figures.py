@@ -154,14 +154,7 @@ def _measure(stream: RecordedStream) -> Figures:
     parts = _parts(header, changes)
     pace = bend = None
     if header.is_regular and not header.has_exact_stamps and is_ordered:
-        given = _cut(blocks(), [begin for begin, _ in parts])
-        cuts = [cuts_of(some, part) for (_, part), some in zip(parts, given, strict=True)]
-        paces = {begin: each.pace for (begin, _), each in zip(parts, cuts, strict=True) if each}
-        pace = _joined_paces(paces, stream.sample_count)
-        if not clock.resets:
-            given = _cut(blocks(), [begin for begin, _ in parts])
-            bends = [_bend(some, each) for some, each in zip(given, cuts, strict=True)]
-            bend = max(filter(None, bends), default=None)
+        pace, bend = _on_lines(stream, blocks, parts, has_one_clock=not clock.resets)
     stray = () if pace is None else pace.stray
     part_error = ""
     if not clock.resets:
@@ -204,6 +197,25 @@ def _measure(stream: RecordedStream) -> Figures:
         rate_changes=changes,
         bend=bend,
     )
+
+
+def _on_lines(
+    stream: RecordedStream,
+    blocks: Callable[[], Iterable[NDArray[np.float64]]],
+    parts: Sequence[tuple[int, RecordedHeader]],
+    *,
+    has_one_clock: bool,
+) -> tuple[Pace | None, Bend | None]:
+    """Judge timestamps by a line in each part; return their pace, and where they are off most."""
+    given = _cut(blocks(), [begin for begin, _ in parts])
+    cuts = [cuts_of(some, part) for (_, part), some in zip(parts, given, strict=True)]
+    paces = {begin: each.pace for (begin, _), each in zip(parts, cuts, strict=True) if each}
+    pace = _joined_paces(paces, stream.sample_count)
+    if not has_one_clock:
+        return pace, None
+    given = _cut(blocks(), [begin for begin, _ in parts])
+    bends = [_bend(some, each) for some, each in zip(given, cuts, strict=True)]
+    return pace, max(filter(None, bends), default=None)
 
 
 def _parts(
