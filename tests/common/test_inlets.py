@@ -165,4 +165,4 @@ def test_no_program_of_ours_has_another_outlet() -> None:
     ]
     others = [each.name for each in modules if re.search(r"\bStreamOutlet\(", each.read_text())]
     # The doctor's is ended with its process.
-    assert others == ["survey.py"]
+    assert others == ["lsl_process.py"]

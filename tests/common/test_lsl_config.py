@@ -448,7 +448,7 @@ def _makes_predicates(module: ast.AST) -> bool:
 
 def test_doctor_alone_looks_into_other_sessions() -> None:
     using = [path.name for path, _ in _modules() if "IN_ANY_SESSION" in path.read_text("utf-8")]
-    assert using == ["survey.py"]
+    assert using == ["lsl_process.py"]
 
 
 def test_only_the_builder_makes_predicates() -> None:
