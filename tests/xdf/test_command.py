@@ -96,9 +96,10 @@ def test_it_fits_a_terminal_of_80_columns() -> None:
     name = "participant-0123-left-upper-arm-polar_h10-" + "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"
     stamps = [100 + k / 10 for k in range(300)]
     header, samples, _ = x.regular(1, name, stamps, 10.0)
+    _, later, _ = x.regular(1, name, [30 + each for each in stamps], 10.0)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "study.xdf"
-        path.write_bytes(x.xdf(header, samples, b"\xee" * 30, samples, samples[:-1]))
+        path.write_bytes(x.xdf(header, samples, b"\xee" * 30, later, later[:-1]))
         line = [sys.executable, "-m", "biosensor_gateway.cli", "xdf", "salvage", str(path)]
         with at_terminal(line, os.environ, columns=80) as terminal:
             assert terminal.exit_code() == 0
