@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from biosensor_common.process_limits import raise_limit
 from installer.layout import PROGRAM, WINDOWED
 from installer.wine.forwarder import forwarding_dll
 
@@ -104,6 +105,8 @@ class Prefix:
         subprocess.run(line, env=self.variables, check=False, timeout=120)
 
     def _line(self, *words: str | Path) -> list[str]:
+        # One server opens the files of all programs here: over a thousand with all virtual sensors.
+        raise_limit()
         return [*self.before, *map(str, words)]
 
 
