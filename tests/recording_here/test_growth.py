@@ -13,7 +13,8 @@ from biosensor_common.naming import source_id
 from biosensor_gateway.agent.device_states import clock_time
 from biosensor_gateway.recording.recorder.live_file import GrowingFile, Growth
 from biosensor_gateway.recording.xdf.container import Tag
-from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.verdict import check
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.recording_export.study import ours
 from tests.xdf.own_streams import own_header
@@ -302,17 +303,23 @@ def _beat(at: float, started: float = 900.0, session: str = "") -> dict[str, obj
     return told | {"agent_started": started, "lsl_time": at, "clock": clock, "session": session}
 
 
-def test_a_clock_that_is_set_and_a_sleep_are_said(written: Written) -> None:
-    def later(at: float, by_s: float, started: float = 900.0) -> dict[str, object]:
-        clock = {"lsl_s": at, "unix_ns": round((UNIX_S + at + by_s) * 1e9)}
-        return {**_beat(at, started), "clock": clock}
+def _later(at: float, by_s: float, started: float = 900.0) -> dict[str, object]:
+    clock = {"lsl_s": at, "unix_ns": round((UNIX_S + at + by_s) * 1e9)}
+    return {**_beat(at, started), "clock": clock}
 
-    written.write(_recording(_told(_beat(1001.0), later(1006.0, 0.004), later(1011.0, 20.0))))
+
+def events_with_steps(*beats: tuple[float, float]) -> bytes:
+    """Return an agent's events: times on LSL's clock, and by how much the time of day is ahead."""
+    return own_header(9, AGENT, "events") + _told(*(_later(*each) for each in beats))
+
+
+def test_a_clock_that_is_set_and_a_sleep_are_said(written: Written) -> None:
+    written.write(_recording(_told(_beat(1001.0), _later(1006.0, 0.004), _later(1011.0, 20.0))))
     (found,) = written.growth.clock_set()
     assert (found.level, found.code) == (Level.WARNING, "clock-set")
     assert "it slept for 20.0 s, or its clock was set forward by that" in found.text
     # Another start of the agent, maybe after one of the computer.
-    written.write(_told(later(1016.0, -50.0), later(1021.0, 0.0, 1017.0)))
+    written.write(_told(_later(1016.0, -50.0), _later(1021.0, 0.0, 1017.0)))
     texts = [each.text for each in written.growth.clock_set()]
     assert len(texts) == 2 and "its clock was set back by 70.0 s" in texts[1]
 
@@ -320,6 +327,15 @@ def test_a_clock_that_is_set_and_a_sleep_are_said(written: Written) -> None:
 def _acc(stream: int, *runs: tuple[float, float]) -> bytes:
     stamps = [begin + k / 50 for begin, end in runs for k in range(round((end - begin) * 50))]
     return samples(stream, "float32", [[0.0, 0.0, 1.0]] * len(stamps), stamps)
+
+
+def test_a_verdict_says_each_step_of_a_clock_once(tmp_path: Path) -> None:
+    file = tmp_path / "a.xdf"
+    file.write_bytes(HEAD + data(1, 1001.0) + events_with_steps((1001.0, 0.0), (1006.0, 20.0)))
+    told = [(by_s, Finding(Level.WARNING, "clock-set", "", f"{by_s}")) for by_s in (20.0, 31.0)]
+    found = [each.text for each in check(file, clock_set=told).findings if each.code == "clock-set"]
+    assert len(found) == 2
+    assert "it slept for 20.0 s" in found[0] and found[1] == "31.0"
 
 
 def _recording(*content: bytes) -> bytes:

@@ -39,7 +39,7 @@ from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from tests.recording_here.conftest import begin
-from tests.recording_here.test_growth import HEAD, TWO, data
+from tests.recording_here.test_growth import HEAD, TWO, data, events_with_steps
 from tests.xdf import xdf_file as x
 from tests.xdf.test_participants import heartbeat, recorded, strap
 
@@ -202,6 +202,11 @@ class Running:
         """Note that the user was asked, and does without these."""
         self._recorder.save(replace(self._saved, without=sources))
 
+    def tells(self, events: bytes) -> None:
+        """Append what agents tell."""
+        with Path(self._saved.file).open("ab") as file:
+            file.write(events)
+
     def has_steps(self, *steps: ClockStep) -> None:
         """Note that the computer's clock was set."""
         self._recorder.save(replace(self._saved, clock_steps=steps))
@@ -246,6 +251,27 @@ def test_a_step_of_the_clock_is_said_and_what_labrecorder_makes_of_it(
     ((found, text),) = ((each, text) for each, code, text in told if code == "clock-set")
     assert found == level
     assert re.search(said, text), text
+
+
+def test_what_an_agent_told_of_its_clock_hides_no_other_step(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    running.tells(events_with_steps((1001.0, 0.0), (1006.0, 20.0)))
+    now = time.time()
+    running.has_steps(*(ClockStep(now - 2.0, by_s) for by_s in (20.0, 31.0, -60.0)))
+    told = running.findings([device("one-id"), device("two-id")])
+    steps = [
+        (level, *re.findall(r"slept for [\d.]+|set back by [\d.]+", text))
+        for level, code, text in told
+        if code == "clock-set"
+    ]
+    # Each once, and the one for which LabRecorder's program waits is red.
+    assert steps == [
+        (Level.ERROR, "set back by 60.0"),
+        (Level.WARNING, "slept for 20.0"),
+        (Level.WARNING, "slept for 31.0"),
+    ]
 
 
 def test_steps_of_the_clock_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,8 +181,8 @@ class Trial:
     def _show(self, devices: Mapping[str, str], stack: ExitStack) -> int:
         names = ", ".join(map(sensor_title, devices))
         say(f"Virtual sensors, no hardware: {names}. They take a moment to start.")
-        # Of those that the page has started. Ours are asked first where no signal would end them in
-        # order; elsewhere one that is stuck would make a person wait.
+        # Last, an agent that the page has started is asked to end. Our own programs get a signal.
+        # Where none ends them in order they are asked before, which takes long if one is stuck.
         stack.callback(_ended, lambda: stop_agent(self._state))
         self._start(stack, "agent", agent_command(devices.values()))
         if sys.platform == "win32":

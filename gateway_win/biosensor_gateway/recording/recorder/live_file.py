@@ -533,10 +533,18 @@ class Growth:
             if flat := stream.constants.found:
                 yield Finding(Level.WARNING, "flat", stream.header.title, flat_text(flat))
 
+    @property
+    def clock_steps_s(self) -> list[float]:
+        """Sizes of the steps of the clocks of agents' computers."""
+        return [each.by_s for _, log in self._of_agents for each in log.clock_steps]
+
+    @property
+    def _of_agents(self) -> list[tuple[RecordedHeader, EventLog]]:
+        return [(each.header, each.log) for each in self._streams.values() if each.log]
+
     def clock_set(self) -> Iterator[Finding]:
         """Yield when the computers of agents slept, or their clocks were set."""
-        logs = [(each.header, each.log) for each in self._streams.values() if each.log]
-        for header, log in logs:
+        for header, log in self._of_agents:
             for each in log.clock_steps:
                 host = header.hostname or "the agent's computer"
                 text = (

@@ -68,7 +68,7 @@ from biosensor_gateway.recording.recorder.request import (
 from biosensor_gateway.recording.recorder.state import LAB_RECORDER, RecorderFolder, SavedRecording
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.event_rules import clock_set_text
-from biosensor_gateway.recording.xdf.findings import Finding, Level, late_streams
+from biosensor_gateway.recording.xdf.findings import Finding, Level, late_streams, unreported
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.verdict import ExpectedStream, Verdict, check
 from biosensor_gateway.settings.models import GatewaySettings
@@ -220,8 +220,7 @@ class LocalRecorder:
             findings += growth.problems(saved.required, silent)
             findings += growth.story(own_events(), agent_started_s)
             findings += late_streams(saved.late, {(e.name, e.source_id) for e in streams})
-            if "clock-set" not in {each.code for each in findings}:
-                findings += _clock_set(saved)
+            findings += unreported(_clock_set(saved), growth.clock_steps_s)
             findings.sort(key=lambda each: list(Level).index(each.level))
         return LocalStatus(
             by=By.GATEWAY,
@@ -572,8 +571,8 @@ def _wait_for_program(saved: SavedRecording) -> None:
             program.wait(END_S)
 
 
-def _clock_set(saved: SavedRecording) -> Iterator[Finding]:
-    """Report that this computer slept while it recorded, or that its clock was set."""
+def _clock_set(saved: SavedRecording) -> Iterator[tuple[float, Finding]]:
+    """Report that this computer slept while it recorded, or that its clock was set, by how much."""
     # The program sleeps until times of day; on other systems its library takes another clock.
     can_wait = saved.recorder == LAB_RECORDER and sys.platform == "linux" and not saved.ended
     for each in saved.clock_steps:
@@ -582,7 +581,7 @@ def _clock_set(saved: SavedRecording) -> Iterator[Finding]:
         if can_wait and until > time.time():
             level, text = Level.ERROR, f"{text}; {LAB_RECORDER} writes nothing until {_at(until)}: "
             text += "stop it only then" if -each.by_s < _KEPT_S else "stop, and record again"
-        yield Finding(level, "clock-set", "", text)
+        yield each.by_s, Finding(level, "clock-set", "", text)
 
 
 def _at(unix_s: float) -> str:

@@ -317,6 +317,12 @@ def _away(agent: _Agent, without: Collection[str]) -> Iterator[Absence]:
         yield Absence(finding, device, host, tuple(spells))
 
 
+def clock_steps_s(streams: Sequence[Measured]) -> list[float]:
+    """Return the sizes of the steps of the clocks of agents' computers."""
+    texts = (each.stream.texts for each in streams if each.stream.header.is_events)
+    return [step.by_s for each in texts for step in EventLog.of(each, ()).clock_steps]
+
+
 def clock_set_text(by_s: float) -> str:
     """Return what a step of a computer's time of day against its LSL clock, in s, means."""
     by = seconds_text(abs(by_s), 1)

@@ -73,6 +73,24 @@ CLOCK_SET_S = 0.5
 """Least step of a computer's clock that is reported."""
 
 
+def unreported(
+    steps: Iterable[tuple[float, Finding]], reported_s: Sequence[float]
+) -> Iterator[Finding]:
+    """Yield findings on steps of this computer's clock, unless events of an agent report the same.
+
+    Parameters
+    ----------
+    steps
+        The size of each in s, and its finding. An error tells more than that there was a step.
+    reported_s
+        Sizes of the steps that events report.
+    """
+    for by_s, finding in steps:
+        is_reported = any(abs(by_s - each) < CLOCK_SET_S for each in reported_s)
+        if finding.level is Level.ERROR or not is_reported:
+            yield finding
+
+
 def late_streams(
     late: Sequence[VisibleStream], recorded: Collection[tuple[str, str]]
 ) -> Iterator[Finding]:

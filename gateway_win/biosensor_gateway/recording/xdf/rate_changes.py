@@ -24,8 +24,7 @@ Read = Callable[[int, int], Array]
 
 SMALL_CHANGE = 0.05
 """A rate that differs by a smaller fraction may be that of a clock, or jitter."""
-# Of neighbouring spans of a constant rate, so many percent differ by less than half of
-# that. Where
+# Of neighbouring spans of a constant rate, so many percent differ by less than half of that. Where
 # the longest spans differ by more, only a change of several times as much is one.
 _MOST_PERCENT, _WORST, _TIMES = 70, 0.15, 3
 # A smaller change, down to this fraction, must explain most of the distance from one line, which is

@@ -51,7 +51,7 @@ class Ends(NamedTuple):
     """First and last sample of a stream on the recorder's clock, in s."""
 
     header: RecordedHeader
-    is_on_clock: bool  # Whether it is on an LSL clock, see `measuring.clock_error`.
+    is_on_clock: bool  # Whether it is on an LSL clock, see `figures.clock_error`.
     first_s: float
     last_s: float
 

@@ -18,6 +18,7 @@ from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings, refusals
 from biosensor_gateway.recording.xdf.event_rules import (
     absences,
+    clock_steps_s,
     consequence,
     judge_devices,
     without_pauses,
@@ -32,6 +33,7 @@ from biosensor_gateway.recording.xdf.findings import (
     in_order,
     late_streams,
     other_participants,
+    unreported,
 )
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
@@ -409,7 +411,7 @@ def check(
     without: Collection[str] = (),
     told: Iterable[str] = (),
     late: Sequence[VisibleStream] = (),
-    clock_set: Sequence[Finding] = (),
+    clock_set: Sequence[tuple[float, Finding]] = (),
 ) -> Verdict:
     """Read a recording and check it.
 
@@ -422,7 +424,8 @@ def check(
     late
         Streams that appeared after the recording began.
     clock_set
-        Steps of the recorder's clock; an agent's events in the file report them more exactly.
+        Steps of the recorder's clock, as for `unreported`: an agent's events in the file report
+        them more exactly.
 
     Raises
     ------
@@ -431,10 +434,9 @@ def check(
     """
     report = judge(read_recording(file), expected, without)
     headers = (each.stream.header for each in report.streams)
-    is_reported = any(each.code == "clock-set" for each in report.findings)
     findings = [
         *report.findings,
-        *(() if is_reported else clock_set),
+        *unreported(clock_set, clock_steps_s(report.streams) if clock_set else ()),
         *(Finding(Level.WARNING, "told", "", each) for each in told),
         *late_streams(late, {(each.name, each.source_id) for each in headers}),
     ]
